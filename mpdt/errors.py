@@ -1,0 +1,128 @@
+"""Errors a user can cause, each with the exit code of the command line.
+
+    MpdtError                       1   base: what, where, expected, found, hint
+    ├── UsageError                  2   unknown verb, option value or name
+    │   └── SpecError               2   datasets.yaml or a preset says something impossible
+    ├── MissingFileError            2   a path that is not there
+    ├── DataError                   1   a file whose content is wrong
+    │   ├── FormatError             1   not an mpdt file, or another format version
+    │   └── ShapeError              1   arrays whose shapes or dtypes disagree
+    ├── StorageError                1   the disk refused: full, read-only, no permission
+    ├── SimulatorError              3   simulator missing or of another version
+    ├── BusyError                   4   another collector holds the target
+    ├── BackboneError               2   language model unknown or unreachable
+    └── TrainingError               1   training cannot go on (NaN, mismatched checkpoint)
+
+Every class also derives from the builtin a library user would catch. Mistakes of our own
+are `assert`s and never appear here.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class MpdtError(Exception):
+    """Something the user can mend.
+
+    Args:
+        what: what is wrong, one line.
+        where: file, key or episode it is about.
+        expected, found: the two sides of the disagreement, where there are two.
+        hint: what to do next, ideally a command to type.
+    """
+
+    exit_code = 1
+
+    def __init__(
+        self, what: str, *, where: str = "", expected: str = "", found: str = "", hint: str = ""
+    ) -> None:
+        self.what, self.where, self.expected, self.found = what, where, expected, found
+        self.hint = hint
+        super().__init__(self.message())
+
+    def message(self) -> str:
+        """One line: `where: what; expected E, found F`."""
+        line = f"{self.where}: {self.what}" if self.where else self.what
+        sides = [f"expected {self.expected}"] if self.expected else []
+        sides += [f"found {self.found}"] if self.found else []
+        return "; ".join([line, ", ".join(sides)]) if sides else line
+
+    def render(self) -> str:
+        """The text the command lines print on stderr, without colour."""
+        text = f"error: {self.message()}"
+        return f"{text}\nhint:  {self.hint}" if self.hint else text
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Exceptions cross process borders; the default would lose the keyword arguments.
+        fields = (self.what, self.where, self.expected, self.found, self.hint)
+        return _rebuild, (type(self), *fields)
+
+
+def _rebuild(
+    kind: type[MpdtError], what: str, where: str, expected: str, found: str, hint: str
+) -> MpdtError:
+    return kind(what, where=where, expected=expected, found=found, hint=hint)
+
+
+class UsageError(MpdtError, ValueError):
+    exit_code = 2
+
+
+class SpecError(UsageError):
+    pass
+
+
+class MissingFileError(MpdtError, FileNotFoundError):
+    exit_code = 2
+
+    # OSError.__new__ and __str__ read positional arguments in their own way.
+    def __str__(self) -> str:
+        return self.message()
+
+
+class DataError(MpdtError, ValueError):
+    pass
+
+
+class FormatError(DataError):
+    pass
+
+
+class ShapeError(DataError):
+    pass
+
+
+class StorageError(MpdtError, OSError):
+    def __str__(self) -> str:
+        return self.message()
+
+
+class SimulatorError(MpdtError, RuntimeError):
+    exit_code = 3
+
+
+class BusyError(MpdtError, RuntimeError):
+    exit_code = 4
+
+
+class BackboneError(UsageError):
+    pass
+
+
+class TrainingError(MpdtError, RuntimeError):
+    pass
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """`(did you mean 'x'?)` for the closest known name, or an empty string."""
+    matches = difflib.get_close_matches(name, list(known), n=1, cutoff=0.5)
+    return f"(did you mean '{matches[0]}'?)" if matches else ""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") -> UsageError:
+    """`UsageError` for a name that is not one of `known`, with the nearest and all of them."""
+    known = sorted(known)
+    what = " ".join(part for part in (f"unknown {kind} '{name}'", nearest(name, known)) if part)
+    return UsageError(what, where=where, hint=f"known: {', '.join(known)}")

@@ -1,0 +1,73 @@
+"""Every random number in a dataset comes from here: one root seed, split by named keys.
+
+    SeedSequence(seed, spawn_key=(family, task, quality, block, row, stream))
+
+Keys are positions, never totals, so adding tasks, episodes or qualities changes no
+existing episode. The numbers below are part of the identity of the data: append, never
+reuse or renumber.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+UNKNOWN_SEED_KEY = (4294967295,) * 5
+
+
+class Stream(IntEnum):
+    """What a random number is for, within one episode."""
+
+    RESET = 0
+    POLICY = 1
+    GOAL = 2
+    UNIFORM = 3
+
+
+class Quality(IntEnum):
+    """Third element of the seed key. The first four are also stored per episode."""
+
+    RANDOM = 0
+    MEDIUM = 1
+    EXPERT = 2
+    HISTORY = 3
+    TTA = 4
+    REFERENCE_ZERO = 5
+    REFERENCE_RANDOM = 6
+    REFERENCE_EXPERT = 7
+    EVALUATION = 8
+    CALIBRATION = 9
+    PRETRAINING = 10
+
+
+@dataclass(frozen=True)
+class SeedKey:
+    """Names the randomness of one episode (`row` of `block`)."""
+
+    seed: int
+    family: int
+    task: int
+    quality: int
+    block: int
+    row: int
+
+    @property
+    def spawn_key(self) -> tuple[int, int, int, int, int]:
+        """What `/episodes/seed_key` stores: the key without seed and stream."""
+        return (self.family, self.task, self.quality, self.block, self.row)
+
+    def sequence(self, stream: Stream) -> np.random.SeedSequence:
+        return np.random.SeedSequence(self.seed, spawn_key=(*self.spawn_key, int(stream)))
+
+    def generator(self, stream: Stream) -> np.random.Generator:
+        return np.random.Generator(np.random.PCG64(self.sequence(stream)))
+
+    def env_seed(self, stream: Stream = Stream.RESET) -> int:
+        """Seed for `env.reset(seed=...)`: first 64-bit word of the stream, shifted to fit int64."""
+        word = self.sequence(stream).generate_state(1, np.uint64)[0]
+        return int(word) >> 1
+
+    def at_row(self, row: int) -> SeedKey:
+        return replace(self, row=row)
