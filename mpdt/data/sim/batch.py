@@ -1,0 +1,114 @@
+"""BatchEnv: what every simulator looks like to the code that collects and evaluates.
+
+    env   = make_batch(family, tasks, options)     one task per row, rows may differ
+    goals = env.draw_goals(keys)                   what the episode is about
+    obs   = env.reset(keys, goals)                 (B, D), the goal is visible
+    step  = env.step(actions)                      (B, A) float32, exactly what gets stored
+
+A row is one episode at a time and never looks at its neighbours' tasks, goals or keys.
+Nothing resets by itself: a finished row goes on being simulated until the caller stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from mpdt.errors import SpecError
+from mpdt.seeding import SeedKey
+
+if TYPE_CHECKING:
+    from mpdt.data.spec.tasks import Family, Task
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What one step of all rows returned.
+
+    Shapes: observations (B, D) float64, in the family's column units; rewards (B,) float64,
+    the task's own reward; terminations (B,) bool, the task's own rule ended the episode (the
+    horizon is the caller's); successes (B,) bool, or None where the simulator has none.
+    """
+
+    observations: FloatArray
+    rewards: FloatArray
+    terminations: BoolArray
+    successes: BoolArray | None
+
+
+class BatchEnv(Protocol):
+    """B episodes of one family side by side. `low` and `high` are (A,) float64 bounds."""
+
+    @property
+    def observation_size(self) -> int: ...
+
+    @property
+    def action_size(self) -> int: ...
+
+    @property
+    def num_rows(self) -> int: ...
+
+    @property
+    def low(self) -> FloatArray: ...
+
+    @property
+    def high(self) -> FloatArray: ...
+
+    def draw_goals(self, keys: Sequence[SeedKey]) -> list[FloatArray]:
+        """Goal vector (G,) float64 per row.
+
+        Locomotion answers with the task's fixed goal, Meta-World draws from stream GOAL of
+        the row's key. A pure function of (task, key): call it in any order, any number of
+        times.
+        """
+        ...
+
+    def reset(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray]) -> FloatArray:
+        """First observations (B, D). A pure function of (tasks, keys, goals).
+
+        The env's own noise comes from `key.env_seed()`; a simulator without reset noise
+        ignores it.
+        """
+        ...
+
+    def step(self, actions: npt.NDArray[np.float32]) -> StepResult:
+        """One env step of all rows. `actions` is (B, A) float32: the numbers that are stored."""
+        ...
+
+
+def make_batch(
+    family: Family, tasks: Sequence[Task], env: Mapping[str, float | bool] | None = None
+) -> BatchEnv:
+    """The simulator of `family` with one row per entry of `tasks`.
+
+    Args:
+        family: row of the family registry; its `simulator` decides.
+        tasks: task of each row; the same task may stand in many rows.
+        env: simulator options of the spec; Meta-World has none.
+
+    Raises: SpecError for an empty `tasks` or an option the simulator does not have.
+    """
+    if not tasks:
+        raise SpecError("a batch needs at least one task", where=family.name)
+    options = dict(env or {})
+    # Lazy: each simulator costs its import only where it is used.
+    if family.simulator == "metaworld":
+        from mpdt.data.sim.metaworld import MetaworldBatch
+
+        if options:
+            raise SpecError(
+                f"unknown simulator option '{sorted(options)[0]}'",
+                where=f"{family.name}.env",
+                hint="Meta-World is stepped as published: leave `env` out",
+            )
+        return MetaworldBatch(tasks)
+    from mpdt.data.sim.locomotion import LocomotionBatch
+
+    return LocomotionBatch(family, tasks, options)

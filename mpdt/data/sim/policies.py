@@ -1,0 +1,213 @@
+"""Policy: who acts. Uniform, all-zero, and Meta-World's scripts mixed with uniform actions.
+
+    policy.begin(keys, goals, horizon)     all randomness of the episodes is drawn here
+    policy.act(step, observations)         (B, D) with the goal visible -> (B, A), not clipped
+
+Random numbers are drawn per row, for the whole episode at once, from the row's own key: a
+row acts the same at any batch width, and a shorter horizon is a prefix of a longer one. The
+caller clips and casts to float32; see collect.py. Networks are in network.py.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import Sequence
+from importlib import metadata
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from mpdt.data.episode import PolicyInfo
+from mpdt.errors import UsageError, unknown_name
+from mpdt.seeding import SeedKey, Stream
+
+FloatArray = npt.NDArray[np.float64]
+
+METAWORLD_ACTION_SIZE = 4
+
+
+class Policy(Protocol):
+    """Acts for B rows, one episode each."""
+
+    @property
+    def info(self) -> PolicyInfo: ...
+
+    def begin(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray], horizon: int) -> None:
+        """Start one episode per row. `goals` are the vectors the env was reset to."""
+        ...
+
+    def act(self, step: int, observations: npt.NDArray[np.floating[Any]]) -> FloatArray:
+        """Actions (B, A) for `step` (0-based) from observations (B, D), goal visible."""
+        ...
+
+
+def definition_hash(definition: dict[str, object]) -> bytes:
+    """SHA-256 (32 bytes) of the canonical JSON that defines a policy without weights."""
+    text = json.dumps(
+        definition, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    )
+    return hashlib.sha256(text.encode()).digest()
+
+
+def uniform_actions(
+    keys: Sequence[SeedKey], horizon: int, action_size: int, low: float, high: float
+) -> FloatArray:
+    """Uniform draws in [low, high), stream UNIFORM of each key: (B, horizon, A)."""
+    shape = (horizon, action_size)
+    draws = [key.generator(Stream.UNIFORM).uniform(low, high, shape) for key in keys]
+    return np.stack(draws)
+
+
+class UniformPolicy:
+    """Uniform actions in scale * [low, high]. A scale above 1 leaves the box on purpose.
+
+    Source: TTA sets of Meta-World are published with actions in +-3, which the simulator
+    clips inside its own step.
+    """
+
+    def __init__(
+        self, action_size: int, low: float, high: float, scale: float = 1.0, *, task: int = -1
+    ) -> None:
+        self.action_size, self.low, self.high, self.scale = action_size, low, high, scale
+        self._actions: FloatArray | None = None
+        definition = {
+            "kind": "uniform",
+            "action_size": action_size,
+            "low": float(low),
+            "high": float(high),
+            "scale": float(scale),
+        }
+        self.info = PolicyInfo(
+            hash=definition_hash(definition),
+            task=task,
+            rung=0,
+            level=0.0,
+            train_step=-1,
+            mix_rate=0.0,
+            name="uniform" if scale == 1.0 else f"uniform*{scale:g}",
+        )
+
+    def begin(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray], horizon: int) -> None:
+        low, high = self.low * self.scale, self.high * self.scale
+        self._actions = uniform_actions(keys, horizon, self.action_size, low, high)
+
+    def act(self, step: int, observations: npt.NDArray[np.floating[Any]]) -> FloatArray:
+        assert self._actions is not None, "begin() comes first"
+        return self._actions[:, step]
+
+
+class ZeroPolicy:
+    """All-zero actions: the trivial baseline that random is often mistaken for."""
+
+    def __init__(self, action_size: int, *, task: int = -1) -> None:
+        self.action_size = action_size
+        definition: dict[str, object] = {"kind": "zero", "action_size": action_size}
+        self.info = PolicyInfo(
+            hash=definition_hash(definition),
+            task=task,
+            rung=-1,  # on no ladder
+            level=0.0,
+            train_step=-1,
+            mix_rate=0.0,
+            name="zero",
+        )
+
+    def begin(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray], horizon: int) -> None:
+        pass
+
+    def act(self, step: int, observations: npt.NDArray[np.floating[Any]]) -> FloatArray:
+        return np.zeros((len(observations), self.action_size))
+
+
+class ScriptedPolicy:
+    """Meta-World's scripted expert; with chance `mix_rate` per step a uniform action instead.
+
+        step       0       1       2       3
+        coin      .81     .12     .64     .97      stream POLICY, one number per step
+        rate .30  script  random  script  script   random where coin < rate
+        rate .70  script  random  random  script   a higher rate replaces these and more
+
+    Rate 0 is the script alone, rate 1 exactly `UniformPolicy` (coins are in [0, 1)). Random
+    actions are drawn for every step, so those that remain are the same at every rate. Some
+    scripts answer far outside [-1, 1] (the faucets on over 90 % of steps): the answer is
+    clipped here, since what counts as this policy's action is the clipped one. Scripts are
+    functions of one observation and keep no state.
+
+    Args:
+        task_names: Meta-World task of each row, without "-v3".
+        mix_rate: in [0, 1].
+        task, rung, level: what to record about it (see PolicyInfo); -1 = unknown.
+
+    Raises: UsageError for a rate outside [0, 1] or a task Meta-World has no script for.
+    """
+
+    def __init__(
+        self,
+        task_names: Sequence[str],
+        mix_rate: float = 0.0,
+        *,
+        task: int = -1,
+        rung: int = -1,
+        level: float = -1.0,
+    ) -> None:
+        if not 0.0 <= mix_rate <= 1.0:
+            raise UsageError(
+                "mixing rate out of range", expected="a number in [0, 1]", found=str(mix_rate)
+            )
+        self.task_names, self.mix_rate = tuple(task_names), mix_rate
+        self._scripts: list[Any] | None = None
+        self._coins: npt.NDArray[np.bool_] | None = None
+        self._uniform: FloatArray | None = None
+        self.info = PolicyInfo(
+            hash=definition_hash(
+                {
+                    "kind": "script",
+                    # Which rows stand side by side is no part of how one of them acts.
+                    "tasks": sorted(set(task_names)),
+                    "metaworld": metadata.version("metaworld"),
+                    "mix_rate": float(mix_rate),
+                }
+            ),
+            task=task,
+            rung=rung,
+            level=level,
+            train_step=-1,
+            mix_rate=mix_rate,
+            name=f"script+u{mix_rate:.2f}" if mix_rate else "script",
+        )
+
+    def begin(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray], horizon: int) -> None:
+        assert len(keys) == len(self.task_names), "one key per row"
+        if self._scripts is None:
+            self._scripts = [find_script(name)() for name in self.task_names]
+        coins = [key.generator(Stream.POLICY).random(horizon) for key in keys]
+        self._coins = np.stack(coins) < self.mix_rate
+        self._uniform = uniform_actions(keys, horizon, METAWORLD_ACTION_SIZE, -1.0, 1.0)
+
+    def act(self, step: int, observations: npt.NDArray[np.floating[Any]]) -> FloatArray:
+        assert self._scripts is not None and self._coins is not None, "begin() comes first"
+        assert self._uniform is not None
+        actions = self._uniform[:, step].copy()
+        with warnings.catch_warnings():
+            # The scripts warn whenever they answer outside [-1, 1]; that is clipped below.
+            warnings.simplefilter("ignore")
+            for row in np.flatnonzero(~self._coins[:, step]):
+                script = self._scripts[row]
+                actions[row] = np.clip(script.get_action(observations[row]), -1.0, 1.0)
+        return actions
+
+
+def find_script(task_name: str) -> type[Any]:
+    """Class of Meta-World's scripted policy for a task name without "-v3"."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # import-time notices of gymnasium
+        from metaworld.policies import ENV_POLICY_MAP
+
+    script: type[Any] | None = ENV_POLICY_MAP.get(f"{task_name}-v3")
+    if script is None:
+        known = [name.removesuffix("-v3") for name in ENV_POLICY_MAP]
+        raise unknown_name("Meta-World task", task_name, known)
+    return script
