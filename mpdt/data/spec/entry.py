@@ -1,0 +1,251 @@
+"""DatasetSpec: what one entry of datasets.yaml asks for, typed and frozen.
+
+A dataset is a pure function of its spec, so the canonical JSON of a spec is hashed and
+stored in the file. Changing a default here changes that hash on purpose.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from typing import Any, Literal
+
+import msgspec
+
+from mpdt.data.spec.tasks import FAMILIES, Family, Task, get_family
+from mpdt.errors import SpecError, nearest
+
+ENV_OPTIONS: dict[str, frozenset[str]] = {
+    "cheetah": frozenset({"control_cost"}),
+    "ant": frozenset({"control_cost", "terminate", "contact_cost"}),
+    "sawyer": frozenset(),
+}
+"""Simulator options a spec may set, by robot. What is not set keeps the simulator's default."""
+
+_SEMVER = re.compile(r"\d+\.\d+\.\d+(?:[-+.][0-9A-Za-z.+-]+)?")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+
+
+class Behaviour(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Who acts: a shipped behaviour network or a scripted policy, exactly one of the two.
+
+    Args:
+        network: name of the shipped weights.
+        script: `metaworld`, its own scripted policies.
+        rungs: number of policies on the ladder from untrained to final.
+        noise: standard deviation of the Gaussian added to a network's actions.
+    """
+
+    network: str | None = None
+    script: str | None = None
+    rungs: int = 20
+    noise: float = 0.0
+
+
+class EpisodeCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Episodes per task and quality."""
+
+    random: int = 0
+    medium: int = 0
+    expert: int = 0
+    history: int = 0
+
+    def of(self, quality: str) -> int:
+        """The count of one quality by name."""
+        return int(getattr(self, quality))
+
+
+class TtaRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A set of unlabelled random-action episodes for test-time adaptation.
+
+    Args:
+        episodes: per task.
+        action_scale: range of the drawn actions as a multiple of the bounds.
+        preset_return: the return asked for; `auto` = the family's fixed target.
+        tasks: which tasks get such a set; tasks of role `both` always do.
+        horizon: steps; None = the entry's horizon.
+    """
+
+    episodes: int
+    action_scale: float = 1.0
+    preset_return: float | Literal["auto"] = "auto"
+    tasks: Literal["test", "train", "all"] = "test"
+    horizon: int | None = None
+
+
+class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One entry of datasets.yaml.
+
+    Args:
+        version: SemVer of the data, in quotes.
+        tasks: `all`, or names and indices of the family's tasks.
+        horizon: steps per episode.
+        seed: root seed of every random number.
+        block: episodes per unit of work; part of the identity of the data.
+        tta: sets for test-time adaptation by name.
+        reference: episodes per task behind a reference return that no stored quality gives.
+        env: simulator options; allowed keys in `ENV_OPTIONS`.
+        license: SPDX id.
+
+    Raises: SpecError listing every mistake.
+    """
+
+    name: str
+    version: str
+    family: str
+    horizon: int
+    seed: int
+    block: int
+    behaviour: Behaviour
+    episodes: EpisodeCounts
+    license: str
+    tasks: Literal["all"] | tuple[str | int, ...] = "all"
+    tta: dict[str, TtaRule] = {}
+    reference: int = 20
+    env: dict[str, float | bool] = {}
+
+    def __post_init__(self) -> None:
+        raise_problems(find_problems(self), where=self.name)
+
+    def resolve_tasks(self) -> tuple[Task, ...]:
+        """The tasks in ascending family index; row k of the file's task table is item k."""
+        family = get_family(self.family)
+        if self.tasks == "all":
+            return family.tasks
+        chosen = {family.task(task) for task in self.tasks}
+        return tuple(sorted(chosen, key=lambda task: task.index))
+
+
+Problem = tuple[str, str, str]
+"""One mistake: key path inside the entry, what is wrong, hint."""
+
+
+def raise_problems(problems: list[Problem], where: str) -> None:
+    """SpecError over all `problems`, or nothing if there are none."""
+    if not problems:
+        return
+    places = [".".join(part for part in (where, key) if part) for key, _, _ in problems]
+    if len(problems) == 1:
+        raise SpecError(problems[0][1], where=places[0], hint=problems[0][2])
+    lines = [f"{len(problems)} mistakes"]
+    for place, (_, what, hint) in zip(places, problems, strict=True):
+        lines.append(f"  {place}: {what}" + (f"  ({hint})" if hint else ""))
+    raise SpecError("\n".join(lines))
+
+
+def find_problems(spec: DatasetSpec) -> list[Problem]:
+    """Every mistake the types cannot catch, as (key path, what, hint)."""
+    problems: list[Problem] = []
+    if not _NAME.fullmatch(spec.name):
+        problems.append(("name", f"{spec.name!r} cannot name a file", "letters, digits, . _ -"))
+    if not _SEMVER.fullmatch(spec.version):
+        problems.append(("version", f"{spec.version!r} is not SemVer", 'write "1.0.0", in quotes'))
+    if not spec.license:
+        problems.append(("license", "empty", "an SPDX id such as CC-BY-4.0"))
+    for key, least in (("horizon", 1), ("seed", 0), ("block", 1), ("reference", 1)):
+        if (number := getattr(spec, key)) < least:
+            problems.append((key, f"{number} is too small", f"at least {least}"))
+    for quality in EpisodeCounts.__struct_fields__:
+        if spec.episodes.of(quality) < 0:
+            problems.append((f"episodes.{quality}", "negative", "0 or more episodes per task"))
+    problems += _behaviour_problems(spec)
+    problems += [problem for name in spec.tta for problem in _tta_problems(name, spec.tta[name])]
+    if spec.family not in FAMILIES:
+        known = ", ".join(FAMILIES)
+        near = nearest(spec.family, FAMILIES)
+        what = f"unknown family '{spec.family}' {near}".rstrip()
+        return [*problems, ("family", what, f"known: {known}")]
+    return problems + _family_problems(spec, FAMILIES[spec.family])
+
+
+def _behaviour_problems(spec: DatasetSpec) -> list[Problem]:
+    behaviour, problems = spec.behaviour, list[Problem]()
+    if (behaviour.network is None) == (behaviour.script is None):
+        problems.append(("behaviour", "needs exactly one of network and script", ""))
+    if behaviour.rungs < 2:
+        problems.append(("behaviour.rungs", f"{behaviour.rungs} is too small", "at least 2"))
+    if not (math.isfinite(behaviour.noise) and behaviour.noise >= 0):
+        problems.append(("behaviour.noise", f"{behaviour.noise} is not a noise", "0 or more"))
+    return problems
+
+
+def _tta_problems(name: str, rule: TtaRule) -> list[Problem]:
+    key, problems = f"tta.{name}", list[Problem]()
+    if not _NAME.fullmatch(name):
+        problems.append((key, f"{name!r} cannot name a set", "letters, digits, . _ -"))
+    if rule.episodes < 1:
+        problems.append((f"{key}.episodes", f"{rule.episodes} is too small", "at least 1"))
+    if not (math.isfinite(rule.action_scale) and rule.action_scale > 0):
+        problems.append((f"{key}.action_scale", f"{rule.action_scale} is not a range", "over 0"))
+    if rule.preset_return != "auto" and not math.isfinite(rule.preset_return):
+        problems.append((f"{key}.preset_return", "not finite", "a number or auto"))
+    if rule.horizon is not None and rule.horizon < 1:
+        problems.append((f"{key}.horizon", f"{rule.horizon} is too small", "at least 1"))
+    return problems
+
+
+def _family_problems(spec: DatasetSpec, family: Family) -> list[Problem]:
+    problems: list[Problem] = []
+    names = [task.name for task in family.tasks]
+    if spec.tasks != "all":
+        known: set[str | int] = {*names, *range(len(names))}
+        for task in spec.tasks:
+            if task not in known:
+                what = f"unknown task '{task}' {nearest(str(task), names)}".rstrip()
+                problems.append(("tasks", what, f"known: {', '.join(names)}"))
+        if not spec.tasks:
+            problems.append(("tasks", "empty", "all, or a list of names or indices"))
+    allowed = ENV_OPTIONS[family.robot]
+    for option in sorted(set(spec.env) - allowed):
+        what = f"unknown key '{option}' {nearest(option, allowed)}".rstrip()
+        hint = f"allowed: {', '.join(sorted(allowed)) or 'none for ' + family.robot}"
+        problems.append((f"env.{option}", what, hint))
+    for option, value in spec.env.items():
+        if not math.isfinite(value):
+            problems.append((f"env.{option}", "not finite", ""))
+    # The simulator itself truncates there, and Meta-World raises on any further step.
+    horizons = [("horizon", spec.horizon)]
+    horizons += [(f"tta.{name}.horizon", rule.horizon or 1) for name, rule in spec.tta.items()]
+    for key, steps in horizons:
+        if family.simulator == "metaworld" and steps > family.horizon:
+            hint = f"at most {family.horizon} in {family.name}"
+            problems.append((key, f"{steps} steps are too many", hint))
+    return problems
+
+
+def canonical_json(value: Any) -> bytes:
+    """One byte form per value: sorted keys, no spaces, UTF-8.
+
+    Raises: ValueError for NaN or infinity (write an open bound as None).
+    """
+    plain = msgspec.to_builtins(value)
+    text = json.dumps(
+        plain, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
+    )
+    return text.encode("utf-8")
+
+
+def spec_hash(spec: DatasetSpec) -> str:
+    """SHA-256 of the spec's canonical JSON, 64 hex digits."""
+    return hashlib.sha256(canonical_json(spec)).hexdigest()
+
+
+def smoke(spec: DatasetSpec) -> DatasetSpec:
+    """A tiny version with the same tasks: seconds of work, another name and version."""
+
+    def few(counts: EpisodeCounts) -> EpisodeCounts:
+        fields = EpisodeCounts.__struct_fields__
+        return EpisodeCounts(**{quality: min(counts.of(quality), 4) for quality in fields})
+
+    rules = {
+        name: msgspec.structs.replace(rule, episodes=min(rule.episodes, 2))
+        for name, rule in spec.tta.items()
+    }
+    mark = "." if "+" in spec.version else "+"
+    return msgspec.structs.replace(
+        spec, name=f"{spec.name}-smoke", version=f"{spec.version}{mark}smoke",
+        block=min(spec.block, 2), episodes=few(spec.episodes), tta=rules,
+        reference=min(spec.reference, 2),
+    )  # fmt: skip
