@@ -1,0 +1,54 @@
+"""The tables as text."""
+
+from mpdt.train.report import NOT_MEASURED, build_tables, render_markdown, rich_tables
+from mpdt.train.results import MEAN, Score
+
+NAN = float("nan")
+
+
+def score(task, method, mean, low=NAN, high=NAN, success=None, normalised=0.5, block="train"):
+    return Score(block=block, task=task, method=method, mean=mean, low=low, high=high,
+                 normalised=normalised, success=success)  # fmt: skip
+
+
+SCORES = [
+    score("run", "zero action", 0.0),
+    score(MEAN, "zero action", 0.0),
+    score("run", "MPDT", 1234.5, 1200.0, 1300.0, success=0.8),
+    score(MEAN, "MPDT", 1234.5, 1200.0, 1300.0, success=0.8),
+]
+
+
+def test_tables_by_hand():
+    tasks, means = build_tables(SCORES)
+    assert tasks.columns == ("task", "zero action", "MPDT")
+    assert tasks.rows[0] == ("run", "0.0", "1234 [1200, 1300] 80%")
+    assert means.columns == ("method", "mean return", "95 % interval", "normalised", "success")
+    assert means.rows == (
+        ("zero action", "0.0", "-", "0.50", "-"),
+        ("MPDT", "1234", "[1200, 1300]", "0.50", "80%"),
+    )
+
+
+def test_no_success_column_without_success():
+    tasks, means = build_tables([score("a", "x", 1.0), score(MEAN, "x", 1.0)])
+    assert "success" not in means.columns and "success" not in tasks.title
+
+
+def test_what_was_not_measured_says_so():
+    tasks, means = build_tables([score("a", "x", NAN), score("a", "y", 1.0), score("b", "y", 1.0)])
+    assert tasks.rows == (("a", NOT_MEASURED, "1.0"), ("b", NOT_MEASURED, "1.0"))
+    assert means.rows[0] == ("x", NOT_MEASURED, "-", "-")
+
+
+def test_blocks_stand_apart():
+    tables = build_tables([score("a", "x", 1.0), score("b", "x", 2.0, block="test")])
+    assert [table.rows[0][0] for table in tables[::2]] == ["a", "b"]
+
+
+def test_markdown_and_terminal_hold_the_same_cells():
+    tables = build_tables(SCORES)
+    text = render_markdown({"name": "demo", "data": "x.h5"}, tables)
+    assert text.startswith("# demo\n\n- data: x.h5\n")
+    assert "| run | 0.0 | 1234 [1200, 1300] 80% |" in text
+    assert [len(table.columns) for table in rich_tables(tables)] == [3, 5]
