@@ -1,0 +1,212 @@
+"""Behaviour networks: shipped rungs, evaluated in numpy, and the ladder they form.
+
+A network is two tanh layers, goal-conditioned, one for all tasks of a family. Its rungs are
+snapshots of one training run, from untrained to final (`pretrain.py`). Files per network:
+`<name>.safetensors` (arrays `rung-07/w0`, ...) and `<name>.json` (how it was made, and each
+rung's measured return and level per task).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import load_file
+
+from mpdt.data.episode import PolicyInfo
+from mpdt.data.sim.policies import Policy, UniformPolicy
+from mpdt.data.sim.robots import network_inputs
+from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.spec.tasks import Family, Task, get_family
+from mpdt.errors import DataError, SpecError, unknown_name
+from mpdt.seeding import SeedKey, Stream
+
+Weights = Mapping[str, NDArray[np.float32]]
+
+INPUT_CLIP = 10.0
+HISTORY_STRIDE = 65536
+"""In `history` the block number of the seed key is rung * 65536 + block (DATA rule D1)."""
+
+
+def policy_digest(weights: Weights, noise: float) -> bytes:
+    """SHA-256 over the arrays (name, dtype, shape, bytes; names sorted) and the action noise."""
+    digest = hashlib.sha256()
+    for name in sorted(weights):
+        array = np.ascontiguousarray(weights[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    digest.update(f"noise {noise!r}\n".encode())
+    return digest.digest()
+
+
+def network_actions(weights: Weights, inputs: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+    """Mean actions (B, A) of inputs (B, I), not clipped. float32 throughout."""
+    x = ((inputs - weights["mean"]) / weights["std"]).astype(np.float32)
+    x = np.clip(x, -INPUT_CLIP, INPUT_CLIP)
+    for layer in ("0", "1"):
+        x = np.tanh(x @ weights[f"w{layer}"] + weights[f"b{layer}"])
+    return np.asarray(x @ weights["w2"] + weights["b2"], dtype=np.float32)
+
+
+class NetworkPolicy:
+    """A rung acting: its mean action plus Gaussian noise of fixed standard deviation.
+
+    The noise makes the episodes of one task differ by more than their start, and shows a
+    learner how the expert recovers. It comes from stream POLICY, one (horizon, A) array per
+    row, so a shorter episode uses a prefix of the same numbers.
+    """
+
+    def __init__(self, family: Family, weights: Weights, noise: float, info: PolicyInfo) -> None:
+        self.info = info
+        self._family, self._weights, self._noise_std = family, weights, noise
+        self._goals = np.zeros(0)
+        self._noise = np.zeros((0, 0, 0), dtype=np.float32)
+
+    def begin(
+        self, keys: Sequence[SeedKey], goals: Sequence[NDArray[np.float64]], horizon: int
+    ) -> None:
+        shape = (horizon, self._family.action_size)
+        draws = [key.generator(Stream.POLICY).standard_normal(shape, np.float32) for key in keys]
+        self._noise = np.float32(self._noise_std) * np.stack(draws)
+        self._goals = np.array([goal[0] for goal in goals])
+
+    def act(self, step: int, observations: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        family = self._family
+        full = observations.astype(np.float64)
+        inputs = network_inputs(family.robot, family.reward, full, self._goals)
+        actions = network_actions(self._weights, inputs) + self._noise[:, step]
+        return actions.astype(np.float64)  # exact; the caller casts back to float32
+
+
+def network_files(name: str) -> tuple[Path, Path]:
+    """Paths of a shipped network's arrays and record. UsageError if there is none."""
+    folder = Path(str(resources.files("mpdt.data.weights")))
+    arrays, record = folder / f"{name}.safetensors", folder / f"{name}.json"
+    if not (arrays.is_file() and record.is_file()):
+        known = [path.stem for path in folder.glob("*.safetensors")]
+        raise unknown_name("behaviour network", name, known, where="behaviour.network")
+    return arrays, record
+
+
+def load_rungs(path: Path) -> list[dict[str, NDArray[np.float32]]]:
+    """Arrays of every rung in a network file, from untrained to final."""
+    rungs: dict[str, dict[str, NDArray[np.float32]]] = {}
+    for name, array in load_file(path).items():
+        rung, _, field = name.partition("/")
+        rungs.setdefault(rung, {})[field] = array
+    return [rungs[name] for name in sorted(rungs)]
+
+
+class NetworkLadder:
+    """The policies of a network family: which rung acts for which quality.
+
+    random = uniform actions; medium = the rung whose measured level is nearest one half for
+    that task; expert = the final rung; history = every rung in turn.
+    """
+
+    def __init__(self, spec: DatasetSpec) -> None:
+        assert spec.behaviour.network is not None
+        arrays, record_path = network_files(spec.behaviour.network)
+        record = json.loads(record_path.read_text())
+        self._family = get_family(spec.family)
+        if (record["robot"], record["reward"]) != (self._family.robot, self._family.reward):
+            raise SpecError(
+                f"network '{spec.behaviour.network}' was trained for another family",
+                where=f"{spec.name}.behaviour.network",
+                expected=f"{self._family.robot}/{self._family.reward}",
+                found=f"{record['robot']}/{record['reward']}",
+            )
+        self._places = _spread(spec.behaviour.rungs, len(record["rungs"]), spec.name)
+        self._record: list[dict[str, Any]] = [record["rungs"][place] for place in self._places]
+        rungs = load_rungs(arrays)
+        self._weights = [rungs[place] for place in self._places]
+        self._noise = spec.behaviour.noise
+
+    @property
+    def num_rungs(self) -> int:
+        return len(self._weights)
+
+    def policy(self, task: Task, quality: str, block: int) -> tuple[Policy, float]:
+        """The acting policy of a block and its progress in [0, 1].
+
+        `block` matters for history only, where it holds the rung (see HISTORY_STRIDE).
+        """
+        if quality == "random":
+            return self._uniform(task), 0.0
+        if quality == "medium":
+            rung = self._medium(task)
+        elif quality == "expert":
+            rung = self.num_rungs - 1
+        elif quality == "history":
+            rung = block // HISTORY_STRIDE
+        else:
+            raise unknown_name("quality", quality, ["random", "medium", "expert", "history"])
+        return self._rung(task, rung), rung / (self.num_rungs - 1)
+
+    def policies(self, tasks: Sequence[Task]) -> list[PolicyInfo]:
+        """Every policy that can act for these tasks, uniform first, then the rungs."""
+        return [
+            info
+            for task in tasks
+            for info in (
+                self._uniform(task).info,
+                *(self._info(task, rung) for rung in range(self.num_rungs)),
+            )
+        ]
+
+    def _medium(self, task: Task) -> int:
+        levels = [rung["levels"][task.name] for rung in self._record]
+        # The last rung within the tie would be as good; the first is the earlier policy.
+        return int(np.argmin(np.abs(np.array(levels) - 0.5)))
+
+    def _uniform(self, task: Task) -> UniformPolicy:
+        family = self._family
+        return UniformPolicy(
+            family.action_size, family.action_low, family.action_high, 1.0, task=task.index
+        )
+
+    def _info(self, task: Task, rung: int) -> PolicyInfo:
+        record = self._record[rung]
+        return PolicyInfo(
+            hash=policy_digest(self._weights[rung], self._noise),
+            task=task.index,
+            rung=rung,
+            level=float(record["levels"][task.name]),
+            train_step=int(record["train_step"]),
+            mix_rate=0.0,
+            name=f"ppo-{record['train_step'] / 1e6:.2f}M",
+        )
+
+    def _rung(self, task: Task, rung: int) -> NetworkPolicy:
+        return NetworkPolicy(self._family, self._weights[rung], self._noise, self._info(task, rung))
+
+
+def _spread(wanted: int, shipped: int, where: str) -> list[int]:
+    """`wanted` rungs spread evenly over the shipped ones, first and last included."""
+    if not 2 <= wanted <= shipped:
+        raise SpecError(
+            "that many rungs are not shipped",
+            where=f"{where}.behaviour.rungs",
+            expected=f"2 to {shipped}",
+            found=str(wanted),
+            hint="choose fewer, or train a longer ladder with: mpdt-data pretrain",
+        )
+    return [round(i * (shipped - 1) / (wanted - 1)) for i in range(wanted)]
+
+
+def check_network(weights: Weights, inputs: int, actions: int, where: str) -> None:
+    """Raise DataError unless the arrays form a network from `inputs` to `actions`."""
+    found = (weights["w0"].shape[0], weights["w2"].shape[1])
+    if found != (inputs, actions):
+        raise DataError(
+            "the network has other sizes than its family",
+            where=where,
+            expected=f"{inputs} inputs and {actions} actions",
+            found=f"{found[0]} and {found[1]}",
+        )
