@@ -1,0 +1,171 @@
+"""Dataset: an open file as tables in RAM and step arrays mapped from disk."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mpdt.data.episode import QUALITY_CODES, Episode, PolicyInfo
+from mpdt.data.store.tables import (
+    Episodes,
+    Float64,
+    Goals,
+    Int64,
+    Policies,
+    Stats,
+    Steps,
+    Tasks,
+    TtaSet,
+)
+from mpdt.errors import UsageError, unknown_name
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Everything a training run may read of a file. Holds no HDF5 object.
+
+    It keeps its data when the path is replaced, and may be used after a fork.
+
+    Args:
+        spec: the datasets.yaml entry that made it; `spec_hash` its SHA-256.
+        content_hash: identity of the episodes, whatever the slices, stats or packages.
+        parent: content hash of the file it was cut out of, or "".
+        slices: name -> ascending absolute episode ids; `slice_rules` how they were made.
+        stats: field -> statistic -> float64 array, empty before any were computed;
+            `stats_info` holds which slice and tasks they saw.
+        tta: name -> unlabelled episodes; their simulated rewards are not reachable from here.
+    """
+
+    path: Path
+    family: str
+    name: str
+    version: str
+    license: str
+    spec: Mapping[str, Any] = field(repr=False)
+    spec_hash: str
+    content_hash: str
+    parent: str
+    packages: Mapping[str, str] = field(repr=False)
+    platform: Mapping[str, str] = field(repr=False)
+    tasks: Tasks = field(repr=False)
+    goals: Goals = field(repr=False)
+    policies: Policies = field(repr=False)
+    episodes: Episodes = field(repr=False)
+    steps: Steps = field(repr=False)
+    slices: Mapping[str, Int64] = field(repr=False)
+    slice_rules: Mapping[str, Mapping[str, Any]] = field(repr=False)
+    stats_info: Stats | None = field(repr=False)
+    tta: Mapping[str, TtaSet] = field(repr=False)
+
+    @property
+    def stats(self) -> Mapping[str, Mapping[str, Float64]]:
+        return self.stats_info.fields if self.stats_info else {}
+
+    @property
+    def num_episodes(self) -> int:
+        return len(self.episodes)
+
+    @property
+    def num_steps(self) -> int:
+        return len(self.steps.rewards)
+
+    @property
+    def observation_size(self) -> int:
+        return int(self.steps.observations.shape[1])
+
+    @property
+    def action_size(self) -> int:
+        return int(self.steps.actions.shape[1])
+
+    def task_row(self, name_or_row: str | int) -> int:
+        """Row of the task table.
+
+        Raises: UsageError naming the nearest task of the file.
+        """
+        if isinstance(name_or_row, str):
+            if name_or_row in self.tasks.names:
+                return self.tasks.names.index(name_or_row)
+        elif 0 <= name_or_row < len(self.tasks):
+            return int(name_or_row)
+        raise unknown_name("task", str(name_or_row), self.tasks.names, where=str(self.path))
+
+    def episode(self, episode_id: int) -> Episode:
+        """One episode; its arrays are views of the file.
+
+        Raises: UsageError for an id outside the file.
+        """
+        columns, steps, i = self.episodes, self.steps, int(episode_id)
+        if not 0 <= i < len(columns):
+            raise UsageError(f"no episode {i}", where=str(self.path),
+                             expected=f"0 to {len(columns) - 1}")  # fmt: skip
+        length, start = int(columns.length[i]), int(columns.start[i])
+        obs_start = int(columns.obs_start[i])
+        rows = slice(start, start + length)
+        key = columns.seed_key[i]
+        return Episode(
+            observations=steps.observations[obs_start : obs_start + length + 1],
+            actions=steps.actions[rows],
+            rewards=steps.rewards[rows],
+            terminations=steps.terminations[rows],
+            truncations=steps.truncations[rows],
+            successes=None if steps.successes is None else steps.successes[rows],
+            task=self.tasks.indices[columns.task[i]],
+            goal=self.goals.of(int(columns.goal[i])),
+            quality=int(columns.quality[i]),
+            progress=float(columns.progress[i]),
+            policy=self.policies.hashes[columns.policy[i]].tobytes(),
+            seed_key=(int(key[0]), int(key[1]), int(key[2]), int(key[3]), int(key[4])),
+        )
+
+    def policy_infos(self) -> list[PolicyInfo]:
+        """The policy table as the writer takes it."""
+        table = self.policies
+        return [
+            PolicyInfo(
+                hash=table.hashes[row].tobytes(),
+                task=self.tasks.indices[table.tasks[row]],
+                rung=int(table.rungs[row]),
+                level=float(table.levels[row]),
+                train_step=int(table.train_steps[row]),
+                mix_rate=float(table.mix_rates[row]),
+                name=table.names[row],
+            )
+            for row in range(len(table.names))
+        ]
+
+    def select(
+        self,
+        task: str | int | Sequence[str | int] | None = None,
+        quality: str | Sequence[str] | None = None,
+        slice: str | None = None,
+    ) -> Int64:
+        """Ascending absolute ids of the episodes that fit all given conditions.
+
+        Args:
+            task: name or row of the task table, or several.
+            quality: `random`, `medium`, `expert`, `history`, `unknown`, or several.
+            slice: name of a stored slice.
+        Raises: UsageError naming the nearest known task, quality or slice.
+        """
+        ids = np.arange(len(self.episodes), dtype=np.int64)
+        if slice is not None:
+            if slice not in self.slices:
+                raise unknown_name("slice", slice, self.slices, where=str(self.path))
+            ids = self.slices[slice]
+        if task is not None:
+            several = [task] if isinstance(task, str | int) else list(task)
+            rows = [self.task_row(one) for one in several]
+            ids = ids[np.isin(self.episodes.task[ids], rows)]
+        if quality is not None:
+            names = [quality] if isinstance(quality, str) else list(quality)
+            known = QUALITY_CODES | {"unknown": -1}
+            for name in names:
+                if name not in known:
+                    raise unknown_name("quality", name, known, where=str(self.path))
+            codes = [known[name] for name in names]
+            ids = ids[np.isin(self.episodes.quality[ids], codes)]
+        return ids

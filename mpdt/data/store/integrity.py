@@ -1,0 +1,73 @@
+"""Does an opened file hang together? Cheap checks over its small tables, at every open."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mpdt.data.store.dataset import Dataset
+from mpdt.errors import FormatError
+
+
+def check_tables(dataset: Dataset) -> None:
+    """Row numbers point into their tables and episodes tile the step arrays.
+
+    Wrong offsets would not crash anything later: they would train on other episodes' steps.
+
+    Raises: FormatError naming the first disagreement.
+    """
+    where, episodes = str(dataset.path), dataset.episodes
+    _in_range(episodes.task, len(dataset.tasks), "/episodes/task", where)
+    _in_range(episodes.policy, len(dataset.policies.names), "/episodes/policy", where)
+    _in_range(episodes.goal, len(dataset.goals.dims), "/episodes/goal", where)
+    _in_range(dataset.goals.tasks, len(dataset.tasks), "/goals/task", where)
+    _in_range(dataset.goals.dims, dataset.goals.values.shape[1] + 1, "/goals/dim", where)
+    _in_range(dataset.policies.tasks, len(dataset.tasks), "/policies/task", where)
+    _tiles(episodes, len(dataset.steps.actions), len(dataset.steps.observations),
+           "/episodes", where)  # fmt: skip
+    for name, ids in dataset.slices.items():
+        _in_range(ids, len(episodes), f"/slices/{name}", where)
+        if (np.diff(ids) <= 0).any():
+            raise FormatError(f"/slices/{name} is not ascending", where=where)
+    for name, tta in dataset.tta.items():
+        _in_range(tta.task, len(dataset.tasks), f"/tta/{name}/episodes/task", where)
+        _in_range(tta.goal, len(dataset.goals.dims), f"/tta/{name}/episodes/goal", where)
+        _tiles(tta, len(tta.actions), len(tta.observations), f"/tta/{name}/episodes", where)
+    if dataset.stats_info:
+        seen = np.array(dataset.stats_info.tasks_seen, np.int64)
+        _in_range(seen, len(dataset.tasks), "/stats tasks_seen", where)
+        # Whoever normalises a test task with its own statistics has looked at the answer.
+        leaked = sorted(set(seen.tolist()) - set(dataset.tasks.train_rows))
+        if leaked:
+            names = ", ".join(dataset.tasks.names[row] for row in leaked)
+            raise FormatError("statistics saw test tasks", where=where, found=names)
+
+
+def _in_range(rows: NDArray[Any], count: int, name: str, where: str) -> None:
+    if len(rows) and not (int(rows.min()) >= 0 and int(rows.max()) < count):
+        raise FormatError(f"{name} points outside its table", where=where,
+                          expected=f"0 to {count - 1}",
+                          found=f"{rows.min()} to {rows.max()}")  # fmt: skip
+
+
+def _tiles(columns: Any, num_steps: int, num_observations: int, name: str, where: str) -> None:
+    length = columns.length.astype(np.int64)
+    if (length < 1).any():
+        raise FormatError(f"{name}/length has episodes without a step", where=where)
+    start = np.cumsum(length) - length
+    for column, wanted in (("start", start), ("obs_start", start + np.arange(len(length)))):
+        wrong = np.flatnonzero(getattr(columns, column) != wanted)
+        if len(wrong):
+            i = int(wrong[0])
+            raise FormatError(f"{name}/{column} leaves a gap or overlaps at episode {i}",
+                              where=where, expected=str(wanted[i]),
+                              found=str(getattr(columns, column)[i]))  # fmt: skip
+    for found, wanted_rows, array in (
+        (num_steps, int(length.sum()), "actions"),
+        (num_observations, int(length.sum()) + len(length), "observations"),
+    ):
+        if found != wanted_rows:
+            raise FormatError(f"{name} does not cover the {array}", where=where,
+                              expected=f"{wanted_rows} rows", found=f"{found}")  # fmt: skip

@@ -1,0 +1,277 @@
+"""Open a file: check it, copy the small tables, map the step arrays, close it.
+
+No HDF5 object outlives `open_dataset`, so the result survives fork, and a writer may replace
+the path meanwhile.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from mpdt.data.spec.tasks import FAMILIES
+from mpdt.data.store import layout, tables
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.digest import content_hash as hash_content
+from mpdt.data.store.digest import content_header
+from mpdt.data.store.integrity import check_tables
+from mpdt.errors import FormatError, MissingFileError, StorageError, UsageError, unknown_name
+
+__all__ = ["Dataset", "open_dataset", "open_tta_rewards", "parse_ref"]
+
+
+def parse_ref(ref: str) -> tuple[Path, str | None]:
+    """Split `FILE:slice` into path and slice name; a plain path has no slice.
+
+    Raises: UsageError for an empty path or slice name.
+    """
+    path, colon, name = ref.rpartition(":")
+    # A colon inside a folder name, a drive letter or an existing file is part of the path.
+    if not colon or "/" in name or "\\" in name or Path(ref).exists():
+        path, name = ref, ""
+        colon = ""
+    if not path or (colon and not name):
+        raise UsageError(f"cannot read '{ref}'", expected="FILE or FILE:slice")
+    return Path(path), name or None
+
+
+def open_dataset(path: Path | str, preload: bool = False) -> Dataset:
+    """Open a finished mpdt file for reading.
+
+    Args:
+        preload: copy the step arrays to RAM (cold or network disks) instead of mapping them.
+    Raises: MissingFileError; FormatError for anything that is not a complete mpdt/1 file;
+        StorageError where the system refuses to open it.
+    """
+    return read_file(Path(path), preload=preload)
+
+
+def open_tta_rewards(path: Path | str, name: str) -> tuple[tables.Float32, tables.Bool | None]:
+    """What the simulator said about a TTA set: rewards (N,), successes (N,) or None.
+
+    The published zero-shot protocol does not read them; `verify` and protocols that say so do.
+
+    Raises: as `open_dataset`; UsageError for an unknown set.
+    """
+    path = Path(path)
+    with _open(path) as (file, stream):
+        _check_header(file, path)
+        sets = file.get("tta", {})
+        if name not in sets:
+            raise unknown_name("TTA set", name, sets, where=str(path))
+        arrays = _Arrays(stream, preload=True)
+        group = sets[name]
+        successes = arrays.take(group["sim_successes"]) if "sim_successes" in group else None
+        return arrays.take(group["sim_rewards"]), successes
+
+
+def read_file(path: Path, preload: bool = False, unfinished: bool = False) -> Dataset:
+    """`open_dataset`, and for the writer alone also a file that is not `complete` yet."""
+    with _open(path) as (file, stream):
+        _check_header(file, path, unfinished)
+        try:
+            dataset = _read(file, path, _Arrays(stream, preload))
+        except (OSError, KeyError, RuntimeError) as error:
+            if isinstance(error, FormatError):
+                raise
+            # h5py reports unreadable objects by these; the file opened, so it is damaged.
+            raise FormatError("damaged", where=str(path), found=str(error),
+                              hint=_collect_hint(path)) from error  # fmt: skip
+    return dataset
+
+
+def _collect_hint(path: Path) -> str:
+    return f"mpdt-data collect {path.stem} -o {path}"
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[tuple[h5py.File, BinaryIO]]:
+    where = str(path)
+    if path.is_dir():
+        raise FormatError("a folder, not a file", where=where)
+    try:
+        stream = path.open("rb")
+    except FileNotFoundError as error:
+        hint = f"mpdt-data collect {path.stem}"
+        raise MissingFileError("no such file", where=where, hint=hint) from error
+    except OSError as error:
+        raise StorageError("cannot be opened", where=where, found=str(error)) from error
+    with stream:
+        if not h5py.is_hdf5(path):
+            raise FormatError("not an HDF5 file", where=where, hint=_collect_hint(path))
+        try:
+            file = h5py.File(path, "r")
+        except OSError as error:
+            raise _refusal(path, error) from error
+        with file:
+            # The mapping must show the very file h5py looked at, even if the path was replaced.
+            if not os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+                raise StorageError("replaced while it was opened", where=where, hint="try again")
+            yield file, stream
+
+
+def _refusal(path: Path, error: OSError) -> FormatError | StorageError:
+    text = str(error)
+    if "truncated" in text or "signature" in text or "superblock" in text:
+        return FormatError("truncated or damaged", where=str(path), found=text,
+                           hint=f"copy it again, or: {_collect_hint(path)}")  # fmt: skip
+    hint = "on a network disk, set HDF5_USE_FILE_LOCKING=FALSE" if "lock" in text else ""
+    return StorageError("cannot be opened", where=str(path), found=text, hint=hint)
+
+
+def _check_header(file: h5py.File, path: Path, unfinished: bool = False) -> None:
+    where = str(path)
+    name, _, major = str(file.attrs.get("format", "")).partition("/")
+    if name != "mpdt":
+        raise FormatError("an HDF5 file, but not one of mpdt", where=where,
+                          expected=f"format {layout.FORMAT}", found=f"format '{name}'")  # fmt: skip
+    if f"{name}/{major}" != layout.FORMAT:
+        raise FormatError("another format version", where=where, expected=layout.FORMAT,
+                          found=f"mpdt/{major}",
+                          hint=f"an mpdt release that writes mpdt/{major} reads it")  # fmt: skip
+    if not unfinished and int(file.attrs.get("complete", 0)) != 1:
+        raise FormatError("incomplete: its writer was stopped", where=where,
+                          hint=f"{_collect_hint(path)} (resumes)")  # fmt: skip
+
+
+class _Arrays:
+    """Maps or copies datasets of one open file."""
+
+    def __init__(self, stream: BinaryIO, preload: bool) -> None:
+        self._stream, self._preload, self._warned = stream, preload, False
+
+    def take(self, dataset: h5py.Dataset) -> NDArray[Any]:
+        """A read-only map where the layout allows it, else a copy in RAM."""
+        offset = dataset.id.get_offset()
+        if 0 in dataset.shape or self._preload:
+            return np.asarray(dataset[()])
+        mappable = offset is not None and dataset.chunks is None and not dataset.is_virtual
+        mappable = mappable and not dataset.external and dataset.dtype.isnative
+        if mappable and offset % dataset.dtype.itemsize == 0:
+            return np.memmap(self._stream, dataset.dtype, "r", offset, dataset.shape)
+        if not self._warned:
+            warnings.warn(
+                f"{dataset.file.filename}: {dataset.name} is chunked, filtered or misaligned; "
+                "reading into memory (a file written by mpdt-data is mapped instead)",
+                stacklevel=5,
+            )
+            self._warned = True
+        return np.asarray(dataset[()])
+
+
+def _columns(
+    group: h5py.Group, columns: tuple[layout.Column, ...], arrays: _Arrays | None = None
+) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for column in columns:
+        if column.path not in group:
+            values[column.path] = None
+        elif column.dtype == "str":
+            values[column.path] = tuple(group[column.path].asstr()[()])
+        else:
+            dataset = group[column.path]
+            values[column.path] = arrays.take(dataset) if arrays else np.asarray(dataset[()])
+    return values
+
+
+def _read(file: h5py.File, path: Path, arrays: _Arrays) -> Dataset:
+    where, sizes = str(path), dict[str, int]()
+    for name, columns in layout.GROUPS.items():
+        if name not in file:
+            raise FormatError(f"group /{name} is missing", where=where, hint=_collect_hint(path))
+        layout.check_group(file[name], columns, sizes, where)
+    family = layout.read_text(file, "family", where)
+    episodes = _columns(file["episodes"], layout.EPISODES)
+    episodes["returns"] = episodes.pop("return")
+    goals = _columns(file["goals"], layout.GOALS)
+    policies = _columns(file["policies"], layout.POLICIES)
+    slices = {name: np.asarray(ids[()], np.int64) for name, ids in file.get("slices", {}).items()}
+    dataset = Dataset(
+        path=path, family=family,
+        name=layout.read_text(file, "name", where),
+        version=layout.read_text(file, "version", where),
+        license=layout.read_text(file, "license", where),
+        spec=layout.read_json(file, "spec", where),
+        spec_hash=layout.read_text(file, "spec_hash", where),
+        content_hash=layout.read_text(file, "content_hash", where),
+        parent=layout.read_text(file, "parent", where),
+        packages=layout.read_json(file, "packages", where),
+        platform=layout.read_json(file, "platform", where),
+        tasks=_read_tasks(file["tasks"], family),
+        goals=tables.Goals(goals["values"], goals["dim"], goals["task"]),
+        policies=tables.Policies(
+            policies["hash"], policies["task"], policies["rung"], policies["level"],
+            policies["train_step"], policies["mix_rate"], policies["name"],
+        ),
+        episodes=tables.Episodes(**episodes),
+        steps=tables.Steps(**_columns(file["steps"], layout.STEPS, arrays)),
+        slices=slices,
+        slice_rules={n: layout.read_json(file["slices"][n], "rule", where) for n in slices},
+        stats_info=_read_stats(file["stats"], where) if "stats" in file else None,
+        tta={n: _read_tta(n, g, sizes, where, arrays) for n, g in file.get("tta", {}).items()},
+    )  # fmt: skip
+    check_tables(dataset)
+    header = content_header(
+        family, dataset.tasks.names, sizes["D"], sizes["A"], dataset.steps.successes is not None
+    )
+    found = hash_content(header, dataset.episodes.digest)
+    if found != dataset.content_hash:
+        raise FormatError("content hash does not fit the episode digests", where=where,
+                          expected=dataset.content_hash, found=found,
+                          hint=_collect_hint(path))  # fmt: skip
+    return dataset
+
+
+def _read_tasks(group: h5py.Group, family: str) -> tables.Tasks:
+    values = _columns(group, layout.TASKS)
+    names: tuple[str, ...] = values["name"]
+    known = {task.name: task.index for task in FAMILIES[family].tasks} if family in FAMILIES else {}
+    return tables.Tasks(
+        names=names,
+        indices=tuple(known.get(name, row) for row, name in enumerate(names)),
+        envs=tuple(layout.parse_json(text, f"{group.name}/env") for text in values["env"]),
+        roles=values["role"],
+        ref_random=values["ref_random"],
+        ref_zero=values["ref_zero"],
+        ref_expert=values["ref_expert"],
+    )
+
+
+def _read_stats(group: h5py.Group, where: str) -> tables.Stats:
+    fields = {}
+    for name in layout.STATS_FIELDS:
+        columns = tuple(layout.Column(stat, "<f8", (name,)) for stat in layout.STATS)
+        if name not in group:
+            raise FormatError(f"group /stats/{name} is missing", where=where)
+        layout.check_group(group[name], columns, {}, where)
+        fields[name] = _columns(group[name], columns)
+    constant = layout.read_json(group, "constant", where)
+    return tables.Stats(
+        fields=fields,
+        slice=layout.read_text(group, "slice", where),
+        tasks_seen=tuple(int(row) for row in group.attrs["tasks_seen"]),
+        constant={name: tuple(columns) for name, columns in constant.items()},
+    )
+
+
+def _read_tta(
+    name: str, group: h5py.Group, sizes: dict[str, int], where: str, arrays: _Arrays
+) -> tables.TtaSet:
+    own = {letter: sizes[letter] for letter in "DA"}
+    for key, columns in layout.TTA_GROUPS.items():
+        layout.check_group(group[key] if key else group, columns, own, where)
+    return tables.TtaSet(
+        name=name,
+        rule=layout.read_json(group, "rule", where),
+        content_hash=layout.read_text(group, "content_hash", where),
+        **_columns(group["steps"], layout.TTA_STEPS, arrays),
+        **_columns(group["episodes"], layout.TTA_EPISODES),
+    )
