@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import warnings
 from collections.abc import Sequence
 from importlib import metadata
 from typing import Any, Protocol
@@ -21,12 +20,11 @@ import numpy as np
 import numpy.typing as npt
 
 from mpdt.data.episode import PolicyInfo
-from mpdt.errors import UsageError, unknown_name
+from mpdt.data.sim.metaworld import ACTION_SIZE, quiet, scripted_policy
+from mpdt.errors import UsageError
 from mpdt.seeding import SeedKey, Stream
 
 FloatArray = npt.NDArray[np.float64]
-
-METAWORLD_ACTION_SIZE = 4
 
 
 class Policy(Protocol):
@@ -182,32 +180,17 @@ class ScriptedPolicy:
     def begin(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray], horizon: int) -> None:
         assert len(keys) == len(self.task_names), "one key per row"
         if self._scripts is None:
-            self._scripts = [find_script(name)() for name in self.task_names]
+            self._scripts = [scripted_policy(name) for name in self.task_names]
         coins = [key.generator(Stream.POLICY).random(horizon) for key in keys]
         self._coins = np.stack(coins) < self.mix_rate
-        self._uniform = uniform_actions(keys, horizon, METAWORLD_ACTION_SIZE, -1.0, 1.0)
+        self._uniform = uniform_actions(keys, horizon, ACTION_SIZE, -1.0, 1.0)
 
     def act(self, step: int, observations: npt.NDArray[np.floating[Any]]) -> FloatArray:
         assert self._scripts is not None and self._coins is not None, "begin() comes first"
         assert self._uniform is not None
         actions = self._uniform[:, step].copy()
-        with warnings.catch_warnings():
-            # The scripts warn whenever they answer outside [-1, 1]; that is clipped below.
-            warnings.simplefilter("ignore")
+        with quiet():  # scripts warn whenever they answer outside [-1, 1]
             for row in np.flatnonzero(~self._coins[:, step]):
                 script = self._scripts[row]
                 actions[row] = np.clip(script.get_action(observations[row]), -1.0, 1.0)
         return actions
-
-
-def find_script(task_name: str) -> type[Any]:
-    """Class of Meta-World's scripted policy for a task name without "-v3"."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # import-time notices of gymnasium
-        from metaworld.policies import ENV_POLICY_MAP
-
-    script: type[Any] | None = ENV_POLICY_MAP.get(f"{task_name}-v3")
-    if script is None:
-        known = [name.removesuffix("-v3") for name in ENV_POLICY_MAP]
-        raise unknown_name("Meta-World task", task_name, known)
-    return script

@@ -1,0 +1,243 @@
+"""MetaworldBatch: Meta-World tasks, one published env per row, with our own goal draw.
+
+The benchmark classes seed through numpy's global generator and reset every env 50 times, so
+they are not used. `reset(seed=)` of the envs is ignored (Farama-Foundation/Metaworld#555);
+with the reset vector frozen an episode is a function of (vector, actions) and nothing else.
+
+    draw    seeded mode, `env.seed(n)`, let the env accept a vector, read it back
+    reset   freeze that vector, `env.reset()`: every reset is then the same start
+    step    `env.step(action)` with the float32 action as it is stored
+
+An env takes 0.11-0.17 s and about 21 MiB; envs are built at their row's first use and kept.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mpdt.data.sim.batch import BoolArray, FloatArray, StepResult
+from mpdt.data.sim.contacts import FingerContacts
+from mpdt.errors import ShapeError, SimulatorError, UsageError, unknown_name
+from mpdt.seeding import SeedKey, Stream
+
+if TYPE_CHECKING:
+    from mpdt.data.spec.tasks import Task
+
+OBSERVATION_SIZE = 39  # 18 now, 18 one step earlier, goal 3
+ACTION_SIZE = 4  # hand displacement * 0.01 m, gripper effort
+GOAL_COLUMNS = slice(36, 39)
+MAX_STEPS = 500  # the envs refuse a further step
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Without the warnings of metaworld and gymnasium, here only.
+
+    They tell of rounded Box bounds and of scripts that answer outside [-1, 1]; both are
+    known and handled, and they would repeat at every step.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def find_class(task_name: str, kind: str) -> type[Any]:
+    """Meta-World's own class for a task name without "-v3"; `kind` is "env" or "script".
+
+    Raises: UsageError for an unknown task, SimulatorError if metaworld does not import.
+    """
+    try:
+        # Lazy: a second of import that only those who simulate should pay.
+        with quiet():
+            if kind == "env":
+                from metaworld.env_dict import ENV_CLS_MAP as CLASSES
+            else:
+                from metaworld.policies import ENV_POLICY_MAP as CLASSES
+    except ImportError as error:
+        raise SimulatorError(
+            "Meta-World does not import",
+            where=task_name,
+            found=str(error),
+            hint="pip install metaworld==3.1.1 mujoco==3.3.0, in a fresh environment",
+        ) from error
+    found: type[Any] | None = CLASSES.get(f"{task_name}-v3")
+    if found is None:
+        raise unknown_name(
+            "Meta-World task", task_name, (name.removesuffix("-v3") for name in CLASSES)
+        )
+    return found
+
+
+def scripted_policy(task_name: str) -> Any:
+    """Meta-World's scripted expert of one task: `get_action(observation) -> (4,)`.
+
+    It needs the goal columns and may answer outside [-1, 1]. Scripts keep no state.
+    """
+    return find_class(task_name, "script")()
+
+
+class MetaworldEnv:
+    """One env of one task, the goal visible, driven by explicit reset vectors.
+
+    `fast_contacts=False` keeps Meta-World's own contact loop: same bytes, slower.
+    """
+
+    def __init__(self, task_name: str, *, fast_contacts: bool = True) -> None:
+        self.task_name = task_name
+        with quiet():
+            env = find_class(task_name, "env")()
+        # As `set_task` does it, without its pickles: show the goal and rebuild the cached
+        # space, whose goal bounds are zero while the goal is hidden.
+        env._partially_observable = False
+        del env.sawyer_observation_space
+        env._set_task_called = True
+        if fast_contacts:
+            env.touching_object = FingerContacts(env)
+        self._env = env
+        self._num_steps = 0
+
+    def draw(self, seed: int) -> FloatArray:
+        """Reset vector (G,) that the env itself accepts when it is seeded with `seed`.
+
+        21 of the 50 tasks draw again while object and goal are too close, so a vector made
+        up from the bounds alone could be refused, and once frozen would loop for ever.
+        """
+        env = self._env
+
+        def stay(steps: int = 50) -> None:
+            env.init_tcp = env.tcp_center
+
+        env._freeze_rand_vec, env.seeded_rand_vec = False, True
+        env.seed(seed)
+        # Acceptance looks at the vector alone; moving the hand home first costs 95 % of a
+        # reset and changes no draw (the slow twin in the tests moves it).
+        env._reset_hand = stay
+        try:
+            with quiet():
+                env.reset_model()
+        finally:
+            del env._reset_hand
+            env._freeze_rand_vec, env.seeded_rand_vec = True, False
+        self._num_steps = MAX_STEPS  # half a reset: no step before a whole one
+        return np.array(env._last_rand_vec, dtype=np.float64)
+
+    def reset(self, goal: FloatArray) -> FloatArray:
+        """First observation (39,) of the episode that starts from reset vector `goal`."""
+        space = self._env._random_reset_space
+        low, high = space.low, space.high
+        if goal.shape != low.shape or not ((goal >= low) & (goal <= high)).all():
+            raise UsageError(
+                "reset vector outside the task's reset space",
+                where=self.task_name,
+                expected=f"{low.size} numbers from {low.tolist()} to {high.tolist()}",
+                found=str(goal.tolist()),
+                hint="let the env draw it: MetaworldEnv.draw(seed)",
+            )
+        vector = goal.astype(np.float64)  # a copy: envs hand out views of it
+        asked = 0
+
+        def frozen() -> FloatArray:
+            nonlocal asked
+            asked += 1
+            if asked > 2:  # once per model reset, of which a reset has two
+                raise UsageError(
+                    "the env refuses this reset vector (object and goal too close)",
+                    where=self.task_name,
+                    found=str(goal.tolist()),
+                    hint="let the env draw it: MetaworldEnv.draw(seed)",
+                )
+            return vector
+
+        # Meta-World's own frozen mode would ask for a refused vector for ever.
+        self._env._get_state_rand_vec = frozen
+        try:
+            with quiet():
+                observation, _ = self._env.reset()
+        finally:
+            del self._env._get_state_rand_vec
+        self._num_steps = 0
+        return np.array(observation, dtype=np.float64)
+
+    def step(self, action: npt.NDArray[np.float32]) -> tuple[FloatArray, float, bool]:
+        """(observation (39,), reward 0 to 10, success) after `action` (4,) float32.
+
+        The env gets the float32 array itself, so that `env.step(stored_action)` of the plain
+        package repeats an episode bit for bit; a cast to float64 would round its products
+        otherwise. The env clips to [-1, 1] inside.
+        """
+        if self._num_steps >= MAX_STEPS:
+            raise UsageError(
+                "a Meta-World episode is over",
+                where=self.task_name,
+                expected=f"reset(), then at most {MAX_STEPS} steps",
+                hint=f"lower the horizon to {MAX_STEPS} or less",
+            )
+        observation, reward, _, _, info = self._env.step(action)
+        self._num_steps += 1
+        return observation, float(reward), bool(info["success"])
+
+
+class MetaworldBatch:
+    """BatchEnv over Meta-World: row i is an env of `tasks[i]`, tasks may differ by row.
+
+    Rewards are 0 to 10 per step, nothing terminates, success is reported per step.
+    """
+
+    observation_size = OBSERVATION_SIZE
+    action_size = ACTION_SIZE
+
+    def __init__(self, tasks: Sequence[Task]) -> None:
+        self.task_names = tuple(task.name for task in tasks)
+        self.num_rows = len(self.task_names)
+        self.low = np.full(ACTION_SIZE, -1.0)
+        self.high = np.full(ACTION_SIZE, 1.0)
+        self._envs: dict[int, MetaworldEnv] = {}
+
+    def _env(self, row: int) -> MetaworldEnv:
+        if row not in self._envs:
+            self._envs[row] = MetaworldEnv(self.task_names[row])
+        return self._envs[row]
+
+    def draw_goals(self, keys: Sequence[SeedKey]) -> list[FloatArray]:
+        """One accepted reset vector (3,) or (6,) per row, from stream GOAL of its key.
+
+        Ends the episodes in progress: the envs must be reset before they are stepped.
+        """
+        self._expect(len(keys), "keys")
+        return [self._env(row).draw(key.env_seed(Stream.GOAL)) for row, key in enumerate(keys)]
+
+    def reset(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray]) -> FloatArray:
+        """First observations (B, 39). `keys` add nothing: with a goal set nothing is random."""
+        self._expect(len(keys), "keys")
+        self._expect(len(goals), "goals")
+        return np.stack([self._env(row).reset(goal) for row, goal in enumerate(goals)])
+
+    def step(self, actions: npt.NDArray[np.float32]) -> StepResult:
+        """One step of every row with exactly these float32 actions (B, 4)."""
+        if actions.shape != (self.num_rows, ACTION_SIZE) or actions.dtype != np.float32:
+            raise ShapeError(
+                "actions do not fit the batch",
+                expected=f"({self.num_rows}, {ACTION_SIZE}) float32",
+                found=f"{actions.shape} {actions.dtype}",
+            )
+        results = [self._env(row).step(action) for row, action in enumerate(actions)]
+        observations, rewards, successes = zip(*results, strict=True)
+        never: BoolArray = np.zeros(self.num_rows, dtype=np.bool_)
+        return StepResult(
+            observations=np.stack(observations),
+            rewards=np.array(rewards, dtype=np.float64),
+            terminations=never,
+            successes=np.array(successes, dtype=np.bool_),
+        )
+
+    def _expect(self, found: int, what: str) -> None:
+        if found != self.num_rows:
+            raise ShapeError(
+                f"wrong number of {what}", expected=f"{self.num_rows} rows", found=str(found)
+            )
