@@ -1,0 +1,193 @@
+"""Engines: run a function over blocks in spawned processes; the order never matters.
+
+    parent  --index-->  worker     one pipe per worker: a damaged worker cannot block a queue
+    parent  <-result--  worker     the next index goes to whoever answered
+
+Workers start with one BLAS and one OpenMP thread, set before they import numpy: threads in
+small matrix products only spin, and their number may change the last bits. They ignore
+Ctrl-C (the parent decides) and end at once when the parent is gone, also by SIGKILL.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import islice
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from typing import Any, TypeVar
+
+from mpdt.errors import MpdtError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "BLIS_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+
+
+def default_workers() -> int:
+    """Processor cores this process may use, at least 1."""
+    return max(1, len(os.sched_getaffinity(0)))
+
+
+def map_blocks(
+    function: Callable[[Item], Result], items: Sequence[Item], workers: int
+) -> Iterator[Result]:
+    """Results of `function` over `items`, in order of arrival.
+
+    Args:
+        function: picklable; each worker keeps its own copy, so it may cache simulators.
+        items: picklable, each done exactly once.
+        workers: number of processes; 0 runs in this process (for tests and debugging; only
+            bit-identical if this process already has one BLAS thread).
+
+    Raises: whatever `function` raised, with the worker's traceback as its cause; MpdtError if
+    a worker died. Leaving the iterator early ends the workers.
+    """
+    if workers == 0:
+        yield from map(function, items)
+        return
+    staff = _Staff(function, min(workers, len(items)))
+    try:
+        waiting = iter(items)
+        for pipe in list(staff.members):
+            staff.give(pipe, waiting)
+        for _ in range(len(items)):
+            pipe, result = staff.next_answer()
+            staff.give(pipe, waiting)
+            yield result
+    finally:
+        staff.dismiss()
+
+
+class _Staff:
+    """The processes of one `map_blocks` call, by the pipe that leads to each."""
+
+    def __init__(self, function: Callable[[Any], Any], size: int) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.members: dict[Connection, SpawnProcess] = {}
+        with _one_thread_environment(), _interrupts_held_back():
+            for _ in range(size):
+                ours, theirs = context.Pipe()
+                process = context.Process(target=_work, args=(theirs, function), daemon=True)
+                process.start()
+                theirs.close()
+                self.members[ours] = process
+
+    def give(self, pipe: Connection, waiting: Iterator[Any]) -> None:
+        """Hand out the next item; with nothing left the worker may go home."""
+        task = tuple(islice(waiting, 1))
+        try:
+            pipe.send(task)
+        except (BrokenPipeError, ConnectionResetError):
+            # It died between two blocks; with nothing left to do nobody needs to know.
+            if task:
+                raise self._obituary(pipe) from None
+
+    def next_answer(self) -> tuple[Connection, Any]:
+        while True:
+            pipe = next(pipe for pipe in wait(list(self.members)) if isinstance(pipe, Connection))
+            try:
+                error, text, result = pipe.recv()
+            except (EOFError, ConnectionResetError):
+                if self._went_home(pipe):
+                    continue
+                raise self._obituary(pipe) from None
+            if error is not None:
+                raise error from RuntimeError(f"in a worker process:\n{text}")
+            return pipe, result
+
+    def _went_home(self, pipe: Connection) -> bool:
+        """True, and the worker is forgotten, if it ended in peace."""
+        self.members[pipe].join(timeout=5)
+        if self.members[pipe].exitcode != 0:
+            return False
+        del self.members[pipe]
+        pipe.close()
+        return True
+
+    def _obituary(self, pipe: Connection) -> MpdtError:
+        process = self.members[pipe]
+        process.join(timeout=5)
+        return MpdtError(
+            "a worker process died",
+            where=f"process {process.pid}",
+            found=f"exit code {process.exitcode}",
+            hint="-9 usually means that memory ran out: use fewer --workers; "
+            "finished blocks are kept",
+        )
+
+    def dismiss(self) -> None:
+        for process in self.members.values():
+            process.terminate()
+        for pipe, process in self.members.items():
+            process.join()
+            pipe.close()
+
+
+def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:
+    """Main of a worker: answer (error, traceback, result) until told to go home."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    while True:
+        try:
+            task = pipe.recv()
+        except EOFError:
+            return
+        if not task:
+            return
+        answer: tuple[BaseException | None, str, Any]
+        try:
+            answer = (None, "", function(task[0]))
+        except Exception as error:  # noqa: BLE001  re-raised in the parent
+            answer = (error, traceback.format_exc(), None)
+        try:
+            pipe.send(answer)
+        except BrokenPipeError:
+            return
+        except Exception:  # noqa: BLE001  an error or result that cannot be pickled
+            pipe.send((RuntimeError("answer cannot be pickled"), traceback.format_exc(), None))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(1)
+
+
+@contextmanager
+def _one_thread_environment() -> Iterator[None]:
+    """Spawned processes inherit the variables before they import anything."""
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """A blocked signal mask is inherited, so Ctrl-C never reaches a worker's imports."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
