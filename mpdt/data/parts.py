@@ -1,0 +1,128 @@
+"""Parts: the folder `<target>.parts/` where finished blocks wait for the pack.
+
+plan.json         spec, spec hash, what the bytes depend on beside it (versions, policies)
+collector.pid     advisory lock, held by the collector whose process id it shows
+blocks/*.npz      one finished block each: there completely, or not there
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from mpdt.data.disk import storage_errors, write_atomically
+from mpdt.data.part import Part
+from mpdt.data.plan import Block
+from mpdt.errors import BusyError, DataError
+
+
+@dataclass(frozen=True)
+class PartsFolder:
+    """The parts of one target file."""
+
+    target: Path
+
+    @property
+    def path(self) -> Path:
+        return self.target.with_name(self.target.name + ".parts")
+
+    def part(self, block: Block) -> Part:
+        return Part(self.path / "blocks", block)
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Create the folder and hold its lock.
+
+        Raises: BusyError with the other collector's process id; StorageError.
+        """
+        with storage_errors(self.path):
+            (self.path / "blocks").mkdir(parents=True, exist_ok=True)
+            lock = self._take_lock()
+        try:
+            yield
+        finally:
+            lock.close()
+
+    def _take_lock(self) -> IO[str]:
+        name = self.path / "collector.pid"
+        while True:
+            self.path.mkdir(exist_ok=True)
+            lock = name.open("a+", encoding="ascii")
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                lock.seek(0)
+                owner = lock.read().strip() or "unknown"
+                lock.close()
+                raise BusyError(
+                    f"another collector holds this target (process {owner})",
+                    where=str(self.target),
+                    hint=f"wait for it, or end it with `kill {owner}`; finished blocks are kept",
+                ) from None
+            # The folder may have been deleted by a collector that just finished.
+            if name.exists() and os.fstat(lock.fileno()).st_ino == name.stat().st_ino:
+                lock.truncate(0)
+                lock.write(str(os.getpid()))
+                lock.flush()
+                return lock
+            lock.close()
+
+    def agree(self, plan: dict[str, Any]) -> None:
+        """Write plan.json, or check that the one that is there says the same.
+
+        Raises: DataError naming the keys that changed.
+        """
+        path = self.path / "plan.json"
+        # A round trip, so that tuples and lists compare equal.
+        plan = json.loads(json.dumps(plan))
+        found = self._read_plan()
+        if found is None:
+            if any((self.path / "blocks").iterdir()):
+                self.clear()  # parts of an unknown plan are worth nothing
+            write_atomically(path, json.dumps(plan, indent=1, sort_keys=True).encode())
+        elif changed := changed_keys(found, plan):
+            raise DataError(
+                "the unfinished parts were made for another plan: " + "; ".join(changed),
+                where=str(self.path),
+                hint="--restart deletes them and starts again; or undo the change to resume",
+            )
+
+    def _read_plan(self) -> Any:
+        try:
+            return json.loads((self.path / "plan.json").read_bytes())
+        except (FileNotFoundError, ValueError):
+            return None
+
+    def clear(self) -> None:
+        """Delete every part and the plan; the lock stays."""
+        with storage_errors(self.path):
+            shutil.rmtree(self.path / "blocks", ignore_errors=True)
+            (self.path / "blocks").mkdir()
+            (self.path / "plan.json").unlink(missing_ok=True)
+
+    def delete(self) -> None:
+        """Delete the folder. A leftover is harmless, so failing to is no error."""
+        shutil.rmtree(self.path, ignore_errors=True)
+
+
+def changed_keys(old: Any, new: Any, path: str = "") -> list[str]:
+    """`key old -> new` for every leaf that differs between two JSON objects."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        return [
+            line
+            for key in sorted({*old, *new})
+            for line in changed_keys(
+                old.get(key), new.get(key), f"{path}.{key}" if path else str(key)
+            )
+        ]
+    if old == new:
+        return []
+    before, after = ("absent" if v is None else json.dumps(v) for v in (old, new))
+    return [f"{path} {before} -> {after}"]
