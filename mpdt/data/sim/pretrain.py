@@ -280,7 +280,7 @@ def _judge_all(family: Family, settings: PretrainSettings, work: Path, seed: int
     args = (settings.judge_episodes, settings.judge_noise, seed, settings.threads)
     random = judge(family, None, *args)
     returns = np.stack([judge(family, load_file(path), *args) for path in paths])
-    best = int(returns.mean(axis=1).argmax())
+    best = 1 + int(returns[1:].mean(axis=1).argmax())  # the untrained one is never final
     returns, paths = returns[: best + 1], paths[: best + 1]
     levels = (returns - random) / (returns[-1] - random)
     chosen = choose_rungs(levels, settings.num_rungs)
