@@ -1,0 +1,60 @@
+"""Seed keys: positions decide, streams differ, numbers are pinned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mpdt.seeding import Quality, SeedKey, Stream
+
+KEY = SeedKey(seed=20240901, family=0, task=1, quality=Quality.EXPERT, block=3, row=4)
+
+
+def test_spawn_key_is_position_without_seed_and_stream() -> None:
+    assert KEY.spawn_key == (0, 1, 2, 3, 4)
+    assert KEY.at_row(9).spawn_key == (0, 1, 2, 3, 9)
+
+
+def test_generator_is_numpys_own_for_that_key() -> None:
+    sequence = np.random.SeedSequence(20240901, spawn_key=(0, 1, 2, 3, 4, 2))
+    want = np.random.Generator(np.random.PCG64(sequence)).random(4)
+    assert np.array_equal(KEY.generator(Stream.GOAL).random(4), want)
+
+
+def test_env_seed_is_half_the_first_word_and_fits_int64() -> None:
+    sequence = np.random.SeedSequence(20240901, spawn_key=(0, 1, 2, 3, 4, 0))
+    word = int(sequence.generate_state(1, np.uint64)[0])
+    assert KEY.env_seed() == word // 2
+    assert KEY.env_seed() < 2**63
+
+
+def test_every_part_of_the_key_matters() -> None:
+    others = [
+        SeedKey(1, 0, 1, 2, 3, 4),
+        SeedKey(20240901, 1, 1, 2, 3, 4),
+        SeedKey(20240901, 0, 0, 2, 3, 4),
+        SeedKey(20240901, 0, 1, 1, 3, 4),
+        SeedKey(20240901, 0, 1, 2, 2, 4),
+        SeedKey(20240901, 0, 1, 2, 3, 5),
+    ]
+    seeds = {KEY.env_seed(), *(key.env_seed() for key in others)}
+    seeds |= {KEY.env_seed(stream) for stream in Stream}
+    assert len(seeds) == 7 + 3
+
+
+def test_stored_codes_never_change() -> None:
+    """They are written into files and seed keys: appending is the only change allowed."""
+    codes = {quality.name: int(quality) for quality in Quality}
+    assert codes == {
+        "RANDOM": 0,
+        "MEDIUM": 1,
+        "EXPERT": 2,
+        "HISTORY": 3,
+        "TTA": 4,
+        "REFERENCE_ZERO": 5,
+        "REFERENCE_RANDOM": 6,
+        "REFERENCE_EXPERT": 7,
+        "EVALUATION": 8,
+        "CALIBRATION": 9,
+        "PRETRAINING": 10,
+    }
+    assert [int(stream) for stream in Stream] == [0, 1, 2, 3]
