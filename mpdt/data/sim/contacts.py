@@ -34,4 +34,4 @@ class FingerContacts:
         # A plain left-to-right sum: numpy's pairwise one would round differently.
         sums = [sum(forces[addresses[row]] for row in rows if pad in pairs[row])
                 for pad in self._pads]  # fmt: skip
-        return bool(0 < sums[0] and 0 < sums[1])
+        return bool(sums[0] > 0 and sums[1] > 0)

@@ -1,0 +1,213 @@
+"""Calibrate: which mixing rate makes a Meta-World script `medium`, measured per task.
+
+    level(u) = (R(u) - R(1)) / (R(0) - R(1))     u = chance per step of a uniform action
+
+      level
+       1.0 |                    o  script, u = 0     One answer although a curve may turn:
+           |        x  x     x                       walk from the random side and stop at
+       0.5 |.....x........x.....                     the first crossing of 0.5, then halve
+           |  x                                      the step around it.
+       0.0 o  random, u = 1
+
+Where a noisy script beats the clean one (lever-pull) the level passes 1 later on; the first
+crossing lies before that, so random < medium < expert holds by construction.
+
+All rates of a task are measured on the same goals, coins and uniform actions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from mpdt.data.sim.batch import BatchEnv, FloatArray, make_batch
+from mpdt.data.sim.calibration import (
+    LOCAL_FILE,
+    Calibration,
+    Measurement,
+    save_calibrations,
+)
+from mpdt.data.sim.collect import run_block
+from mpdt.data.sim.policies import ScriptedPolicy
+from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.spec.tasks import get_family
+from mpdt.errors import DataError, SpecError
+from mpdt.seeding import Quality, SeedKey
+
+STEP = 0.05  # of the walk over rates
+RATES = tuple(round(1 - STEP * i, 6) for i in range(round(1 / STEP) + 1))  # 1, 0.95 .. 0
+FINEST = 0.025  # where halving stops
+BAND = (0.40, 0.60)  # a medium outside is refused; `verify` allows [0.35, 0.65]
+
+
+RULE = (
+    f"Mixing rates are walked from 1 (uniform) to 0 (script) in steps of {STEP}. Around the "
+    f"first level >= 0.5 that stands up to the larger number of episodes the step is halved "
+    f"down to {FINEST}; the carefully measured rate nearest 0.5 is medium and must lie in "
+    f"[{BAND[0]}, {BAND[1]}]. Where the curve turns (monotone: false) only this first crossing "
+    "counts, so random < medium < expert in return holds."
+)
+
+
+def find_rate(level: Callable[[float, bool], float]) -> float:
+    """Rate of `medium`: the first crossing of level 0.5, seen from the random side.
+
+    Args:
+        level: (rate, careful) -> level; `careful` asks for more episodes. Level 0 at rate 1
+            and 1 at rate 0 hold by definition and are not asked for.
+
+    Returns: the carefully measured rate nearest 0.5, a multiple of FINEST; of two equally
+        near ones the more random.
+    """
+    careful: dict[float, float] = {1.0: 0.0, 0.0: 1.0}
+
+    def passes(rate: float) -> bool:
+        if rate not in careful:
+            careful[rate] = level(rate, True)
+        return careful[rate] >= 0.5
+
+    walk = list(RATES)
+    place = next(i for i, rate in enumerate(walk) if rate == 0.0 or level(rate, False) >= 0.5)
+    # The walk used few episodes, so ask again with more on both sides of the crossing.
+    while not passes(walk[place]):
+        place += 1
+    while passes(walk[place - 1]):
+        place -= 1
+    script_side, random_side = walk[place], walk[place - 1]
+    while random_side - script_side > FINEST + 1e-9:
+        middle = round((script_side + random_side) / 2, 6)
+        if passes(middle):
+            script_side = middle
+        else:
+            random_side = middle
+    return min(sorted(careful, reverse=True), key=lambda rate: abs(careful[rate] - 0.5))
+
+
+class Probe:
+    """Measures mixing rates of one task, every rate on the same episodes' keys."""
+
+    def __init__(self, task_name: str, horizon: int, seed: int) -> None:
+        # mt50 holds every task, so a calibration does not depend on the family that asked.
+        self._family = get_family("mt50")
+        self._task = self._family.task(task_name)
+        self._horizon, self._seed = horizon, seed
+        self._env: BatchEnv = make_batch(self._family, [self._task])
+        self._seen: dict[float, list[tuple[float, bool]]] = {}
+
+    def outcomes(self, rate: float, num_episodes: int) -> tuple[FloatArray, FloatArray]:
+        """Returns and successes (0 or 1) of the first `num_episodes` episodes, (N,) each."""
+        seen = self._seen.setdefault(rate, [])
+        policy = ScriptedPolicy([self._task.name], rate)
+        for row in range(len(seen), num_episodes):
+            key = SeedKey(
+                self._seed, self._family.id, self._task.index, Quality.CALIBRATION, 0, row
+            )
+            (episode,) = run_block(
+                self._env, policy, [key], horizon=self._horizon, quality=-1, progress=-1.0
+            )
+            seen.append((episode.episode_return, episode.success))
+        returns, successes = zip(*seen[:num_episodes], strict=True)
+        return np.array(returns), np.array(successes, dtype=np.float64)
+
+
+def calibrate_task(
+    task_name: str, horizon: int, *, seed: int = 1, coarse: int = 6, careful: int = 60
+) -> Calibration:
+    """Find the mixing rate of `medium` of one task; `coarse` and `careful` count episodes.
+
+    Raises: DataError if the script is no better than uniform actions, or if no measured
+        rate comes into BAND (more `careful` episodes may help).
+    """
+    probe = Probe(task_name, horizon, seed)
+    low = probe.outcomes(1.0, careful)[0].mean()
+    span = probe.outcomes(0.0, careful)[0].mean() - low
+    if span <= 0:
+        raise DataError(
+            "the script earns no more than uniform actions",
+            where=f"{task_name}, horizon {horizon}",
+            expected=f"a return above {low:.1f}",
+            found=f"{low + span:.1f}",
+        )
+
+    def measure(rate: float, num_episodes: int) -> Measurement:
+        returns, successes = probe.outcomes(rate, num_episodes)
+        return Measurement(
+            rate=rate,
+            episodes=num_episodes,
+            mean_return=round(float(returns.mean()), 3),
+            success=round(float(successes.mean()), 4),
+            level=round(float((returns.mean() - low) / span), 4),
+            level_error=round(float(returns.std(ddof=1) / span / np.sqrt(num_episodes)), 4),
+        )
+
+    def level(rate: float, is_careful: bool) -> float:
+        return measure(rate, careful if is_careful else coarse).level
+
+    medium = measure(find_rate(level), careful)
+    if not BAND[0] <= medium.level <= BAND[1]:
+        raise DataError(
+            "no mixing rate of the grid gives half the script's return",
+            where=f"{task_name}, horizon {horizon}",
+            expected=f"a level in [{BAND[0]}, {BAND[1]}]",
+            found=f"{medium.level} at rate {medium.rate}",
+        )
+    curve = tuple(measure(rate, coarse) for rate in RATES[1:-1])
+    return Calibration(
+        task=task_name,
+        horizon=horizon,
+        rate=medium.rate,
+        level=medium.level,
+        random=measure(1.0, careful),
+        medium=medium,
+        expert=measure(0.0, careful),
+        monotone=_is_monotone(curve),
+        curve=curve,
+        seed=seed,
+        versions={name: metadata.version(name) for name in ("metaworld", "mujoco", "numpy")},
+    )
+
+
+def _is_monotone(curve: Sequence[Measurement]) -> bool:
+    """Whether levels only rise towards the script, as far as the few episodes can tell."""
+    best = curve[0]
+    for point in curve[1:]:
+        if point.level < best.level - 2 * (point.level_error + best.level_error):
+            return False
+        best = max(best, point, key=lambda measured: measured.level)
+    return best.level <= 1 + 2 * best.level_error
+
+
+def calibrate(
+    spec: DatasetSpec,
+    target: Path | None = None,
+    *,
+    seed: int = 1,
+    coarse: int = 6,
+    careful: int = 60,
+    on_progress: Callable[[Calibration], None] | None = None,
+) -> Path:
+    """Calibrate every task of a Meta-World spec at its horizon; about a minute per task.
+
+    Args:
+        target: file to add to; default LOCAL_FILE in the working folder, where the ladder
+            looks for what is not shipped.
+        on_progress: called with each result; each is on disk before the next one starts.
+
+    Raises: SpecError for a spec whose behaviour is not the script.
+    """
+    if spec.behaviour.script != "metaworld":
+        raise SpecError(
+            "nothing to calibrate: only scripted behaviour has a mixing rate",
+            where=f"{spec.name}.behaviour",
+            hint=f"mpdt-data pretrain {spec.name}",
+        )
+    target = target or Path(LOCAL_FILE)
+    for task in spec.resolve_tasks():
+        result = calibrate_task(task.name, spec.horizon, seed=seed, coarse=coarse, careful=careful)
+        save_calibrations(target, [result], RULE)
+        if on_progress is not None:
+            on_progress(result)
+    return target

@@ -1,0 +1,110 @@
+"""The same tasks as ordinary gymnasium environments.
+
+    env = make("ml10", "reach")                      entry point "mpdt.data.sim.gym:make"
+    observation, info = env.reset(seed=7)
+    observation, info = env.reset(options={"goal": [...]})      a goal out of a dataset
+
+Replaying an episode of a file: reset with its goal (Meta-World) or its env seed (locomotion),
+then step its stored float32 actions; observations are float64 here and float32 in the file.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from mpdt.data.sim.metaworld import (
+    ACTION_SIZE,
+    GOAL_COLUMNS,
+    MAX_STEPS,
+    OBSERVATION_SIZE,
+    MetaworldEnv,
+    quiet,
+)
+from mpdt.data.spec.tasks import get_family
+from mpdt.errors import UsageError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def make(family: str, task: str, **kwargs: Any) -> gymnasium.Env[FloatArray, Any]:
+    """The gymnasium env of one task, as its family defines horizon and goal visibility.
+
+    Args:
+        family, task: names in the registry, for example "ml10" and "reach".
+        kwargs: what the env class takes beyond that: `horizon`, `goal_hidden` (Meta-World),
+            `render_mode` and simulator options (locomotion). JSON values only, so that the
+            call can be written into a file.
+
+    Raises: UsageError for an unknown family or task.
+    """
+    row = get_family(family)
+    row.task(task)
+    if row.simulator == "metaworld":
+        defaults: dict[str, Any] = {"horizon": row.horizon, "goal_hidden": row.goal_hidden}
+        return MetaworldTask(task, **(defaults | kwargs))
+    from mpdt.data.sim.locomotion_env import LocomotionEnv
+
+    return LocomotionEnv(family, task, **kwargs)
+
+
+class MetaworldTask(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
+    """One Meta-World task with a goal per episode.
+
+    Observation: float64 (39,), metres; columns 36:39 are the goal, 0 if `goal_hidden`.
+    Action: float32 (4,) in [-1, 1]. Reward 0 to 10. Never terminated; truncated at `horizon`.
+    `info["success"]` at each step, `info["goal"]` (the reset vector) at reset.
+
+    `reset(seed=n)` draws the goal that the env accepts under seed n, so the goal of a dataset
+    episode also comes from `seed=key.env_seed(Stream.GOAL)`; without a seed the next one of
+    `np_random` is used. `reset(options={"goal": vector})` takes the vector itself.
+
+    Raises: UsageError for an unknown task, a horizon outside 1..500, a vector the task does
+        not accept, or a step past the horizon.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(self, task: str, horizon: int = MAX_STEPS, goal_hidden: bool = True) -> None:
+        if not 1 <= horizon <= MAX_STEPS:
+            raise UsageError(
+                "horizon out of range", where=task, expected=f"1 to {MAX_STEPS}", found=str(horizon)
+            )
+        self._env = MetaworldEnv(task)
+        self._horizon, self._goal_hidden = horizon, goal_hidden
+        self._num_steps = horizon  # no step before the first reset
+        with quiet():
+            self.observation_space = spaces.Box(-np.inf, np.inf, (OBSERVATION_SIZE,), np.float64)
+            self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[FloatArray, dict[str, Any]]:
+        super().reset(seed=seed)
+        if options and "goal" in options:
+            goal = np.asarray(options["goal"], dtype=np.float64)
+        else:
+            # gymnasium's int64-sized word, as SeedKey.env_seed gives it
+            goal = self._env.draw(int(self.np_random.integers(2**63)) if seed is None else seed)
+        observation = self._shown(self._env.reset(goal))
+        self._num_steps = 0
+        return observation, {"goal": goal, "success": False}
+
+    def step(
+        self, action: npt.NDArray[np.float32]
+    ) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        if self._num_steps >= self._horizon:
+            raise UsageError("the episode is over", where=self._env.task_name, hint="call reset()")
+        observation, reward, success = self._env.step(np.asarray(action, dtype=np.float32))
+        self._num_steps += 1
+        truncated = self._num_steps == self._horizon
+        return self._shown(observation), reward, False, truncated, {"success": success}
+
+    def _shown(self, observation: FloatArray) -> FloatArray:
+        if self._goal_hidden:
+            observation[GOAL_COLUMNS] = 0.0
+        return observation

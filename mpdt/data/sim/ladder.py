@@ -1,0 +1,150 @@
+"""Ladder: the rungs of each task, and which of them acts for which quality.
+
+    quality   policy                               progress
+    random    uniform actions                      0
+    medium    the rung nearest half the level      its place (network) or level (script)
+    expert    the last rung                        1
+    history   every rung in turn                   rung / (rungs - 1)
+
+A network ladder is one training run (network.py). Meta-World has none: a rung there is the
+script with `mix_rate` of its actions replaced by uniform ones, from rate 1 down to rate 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+from mpdt.data.episode import PolicyInfo
+from mpdt.data.sim.calibration import Calibration, load_calibrations
+from mpdt.data.sim.policies import Policy, ScriptedPolicy, UniformPolicy
+from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.spec.tasks import Task, get_family
+from mpdt.errors import SpecError, unknown_name
+
+QUALITIES = ("random", "medium", "expert", "history")
+
+
+class Ladder(Protocol):
+    """The policies behind the episodes of one spec."""
+
+    @property
+    def num_rungs(self) -> int: ...
+
+    def policy(self, task: Task, quality: str, block: int) -> tuple[Policy, float]:
+        """Who acts in a block, and its progress in [0, 1].
+
+        `block` is the block number of the seed key; in `history` it holds the rung.
+        """
+        ...
+
+    def policies(self, tasks: Sequence[Task]) -> list[PolicyInfo]:
+        """Every policy `policy` can answer with for these tasks, by task, then by rung."""
+        ...
+
+
+def load_ladder(spec: DatasetSpec, folder: Path | None = None) -> Ladder:
+    """The ladder `spec.behaviour` names; `folder` (default: here) may hold calibrations.
+
+    Raises: SpecError if the behaviour does not fit the family or has not been calibrated.
+    """
+    if spec.behaviour.script is not None:
+        return ScriptLadder(spec, folder)
+    from mpdt.data.sim.network import NetworkLadder  # lazy: reads weights, needs safetensors
+
+    return NetworkLadder(spec)
+
+
+class ScriptLadder:
+    """Meta-World's scripts, mixed with uniform actions at calibrated rates.
+
+        rung   0     1     2    ..   R-1      history: rates evenly spaced, for every task
+        rate   1   1-1/(R-1)    ..    0       medium: the task's calibrated rate, between two
+
+    Raises: SpecError if the spec asks for `medium` of a task without calibration at its
+        horizon, or for scripts outside Meta-World.
+    """
+
+    def __init__(self, spec: DatasetSpec, folder: Path | None = None) -> None:
+        self._family = get_family(spec.family)
+        if spec.behaviour.script != "metaworld" or self._family.simulator != "metaworld":
+            raise SpecError(
+                "no such script for this family",
+                where=f"{spec.name}.behaviour.script",
+                expected="metaworld, in a Meta-World family",
+                found=f"{spec.behaviour.script} in {spec.family}",
+            )
+        self._spec = spec
+        self._calibrations = load_calibrations(folder)
+        self.num_rungs = spec.behaviour.rungs
+        if spec.episodes.medium:
+            for task in spec.resolve_tasks():
+                self._calibration(task)
+
+    def policy(self, task: Task, quality: str, block: int) -> tuple[Policy, float]:
+        """Who acts in a block of `task`, and its progress; see Ladder."""
+        last = self.num_rungs - 1
+        if quality == "random":
+            return self._uniform(task), 0.0
+        if quality == "medium":
+            found = self._calibration(task)
+            rung = round((1 - found.rate) * last)
+            return self._script(task, found.rate, rung, found.level), found.level
+        if quality == "expert":
+            return self._script(task, 0.0, last, 1.0), 1.0
+        if quality == "history":
+            from mpdt.data.sim.network import HISTORY_STRIDE
+
+            rung = block // HISTORY_STRIDE
+            assert 0 <= rung <= last, "the block number of history holds the rung"
+            return self._rung(task, rung), rung / last
+        raise unknown_name("quality", quality, QUALITIES)
+
+    def policies(self, tasks: Sequence[Task]) -> list[PolicyInfo]:
+        """Rows of /policies: only those the spec's episodes and references can meet."""
+        found: dict[tuple[int, bytes], PolicyInfo] = {}
+        for task in tasks:
+            infos = [self.policy(task, "random", 0)[0].info]
+            if self._spec.episodes.history:
+                infos += [self._rung(task, rung).info for rung in range(self.num_rungs)]
+            if self._spec.episodes.medium:
+                infos.append(self.policy(task, "medium", 0)[0].info)
+            infos.append(self.policy(task, "expert", 0)[0].info)
+            for info in sorted(infos, key=lambda info: (info.rung, -info.mix_rate)):
+                found.setdefault((info.task, info.hash), info)
+        return list(found.values())
+
+    def _calibration(self, task: Task) -> Calibration:
+        horizon = self._spec.horizon
+        if (task.name, horizon) not in self._calibrations:
+            known = sorted({steps for name, steps in self._calibrations if name == task.name})
+            raise SpecError(
+                f"'{task.name}' has no calibrated mixing rate for medium",
+                where=self._spec.name,
+                expected=f"a calibration at horizon {horizon}",
+                found=f"horizons {known}" if known else "none",
+                hint=f"mpdt-data calibrate {self._spec.name}",
+            )
+        return self._calibrations[task.name, horizon]
+
+    def _rung(self, task: Task, rung: int) -> Policy:
+        last = self.num_rungs - 1
+        if rung == 0:
+            return self._uniform(task)  # a script at rate 1 acts the same, under another hash
+        rate = round(1 - rung / last, 6)
+        known = self._calibrations.get((task.name, self._spec.horizon))
+        level = known.level_at(rate) if known else -1.0
+        return self._script(task, rate, rung, 1.0 if rung == last else level)
+
+    def _script(self, task: Task, rate: float, rung: int, level: float) -> ScriptedPolicy:
+        return ScriptedPolicy([task.name], rate, task=task.index, rung=rung, level=level)
+
+    def _uniform(self, task: Task) -> UniformPolicy:
+        family = self._family
+        policy = UniformPolicy(
+            family.action_size, family.action_low, family.action_high, task=task.index
+        )
+        policy.info = replace(policy.info, mix_rate=1.0)
+        return policy
