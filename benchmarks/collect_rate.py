@@ -26,6 +26,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import mujoco
 import numpy as np
+from mpdt.data.spec.catalog import load_catalog
 from mujoco import rollout
 
 from mpdt.data.sim.batch import make_batch
@@ -33,7 +34,6 @@ from mpdt.data.sim.collect import run_block
 from mpdt.data.sim.ladder import load_ladder
 from mpdt.data.sim.locomotion_env import LocomotionEnv
 from mpdt.data.sim.robots import FRAME_SKIP, ROBOTS
-from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.tasks import get_family
 from mpdt.seeding import Quality, SeedKey
 
@@ -47,7 +47,11 @@ def native() -> Callable[[], None]:
     start = np.zeros((EPISODES, 1 + model.nq + model.nv))
     generator = np.random.Generator(np.random.PCG64(0))
     control = generator.uniform(-1, 1, (EPISODES, HORIZON, model.nu)).repeat(FRAME_SKIP, axis=1)
-    return lambda: rollout.rollout([model] * EPISODES, [data], start, control) and None
+
+    def run() -> None:
+        rollout.rollout([model] * EPISODES, [data], start, control)
+
+    return run
 
 
 def ours() -> Callable[[], None]:
