@@ -8,6 +8,7 @@ K tasks, M goals, G goal size, P policies.
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.spec.entry import canonical_json
-from mpdt.errors import FormatError
+from mpdt.errors import FormatError, UsageError
 
 FORMAT = "mpdt/1"
 ALIGNMENT_BYTES = 64
@@ -141,6 +142,16 @@ def check_group(
             raise FormatError(f"dataset {found.name} has the wrong shape", where=where,
                               expected=f"({letters}) = {wanted}",
                               found=str(list(found.shape)))  # fmt: skip
+
+
+def checked_name(name: str) -> str:
+    """A slice or TTA set name, if HDF5 takes it as one link and `FILE:name` can ask for it.
+
+    Raises: UsageError.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name):
+        raise UsageError(f"{name!r} cannot be a name in a file", expected="letters, digits, ._+-")
+    return name
 
 
 def write_text(group: h5py.Group, key: str, text: str) -> None:

@@ -1,0 +1,98 @@
+"""Add a slice, a TTA set or statistics to a finished file: a changed copy takes its place.
+
+The episodes, and with them the content hash, stay what they are.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mpdt.data.store import columns, layout
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.digest import content_header
+from mpdt.data.store.reader import open_dataset, read_file
+from mpdt.data.store.replacement import disk, replacing, reserve
+from mpdt.data.store.sources import TtaSource
+from mpdt.data.store.tables import Int64, Slice, Stats, TaskRow
+from mpdt.data.store.ttaset import fill_tta
+from mpdt.data.store.writer import ALIGNED, closing, write_slice, write_stats
+
+
+def add_slice(
+    path: Path, name: str, ids: Int64 | Sequence[int], rule: Mapping[str, Any]
+) -> Dataset:
+    """Add a named slice, or replace the one of that name, and open the new file.
+
+    Args:
+        ids: ascending absolute episode ids.
+        rule: how they were chosen; stored as JSON.
+    Raises: DataError for ids that do not ascend inside the file; UsageError for a bad name;
+        StorageError. The old file stays on any of these.
+    """
+    with _copy(path) as (file, dataset), disk(path):
+        if name in file.get("slices", {}):
+            del file["slices"][name]
+        write_slice(file, name, Slice(np.asarray(ids, np.int64), rule), dataset)
+    return open_dataset(path)
+
+
+def add_stats(path: Path, stats: Stats) -> Dataset:
+    """Store statistics in place of older ones, and open the new file."""
+    with _copy(path) as (file, _), disk(path):
+        write_stats(file, stats)
+    return open_dataset(path)
+
+
+def add_tta(path: Path, name: str, source: TtaSource) -> Dataset:
+    """Add a TTA set, or replace the one of that name, and open the new file.
+
+    Raises: as `writer.write_file`.
+    """
+    with _copy(path) as (file, dataset):
+        layout.checked_name(name)
+        success = dataset.steps.successes is not None
+        sizes = {"D": dataset.observation_size, "A": dataset.action_size}
+        counts = {"N": source.num_steps, "E": source.num_episodes}
+        with disk(path):
+            if name in file.get("tta", {}):
+                del file["tta"][name]
+            group = file.create_group(f"tta/{name}")
+            wanted = columns.step_columns(tta=True, has_success=success)
+            table = columns.open_steps(group, wanted, sizes | counts, path)
+            file.flush()
+            reserve(Path(file.filename), Path(file.filename).stat().st_size)
+        tasks = columns.TaskIndex(_task_rows(dataset), str(path))
+        goals = columns.GoalTable.of(dataset.goals)
+        content = content_header(dataset.family, dataset.tasks.names, sizes["D"], sizes["A"],
+                                 success)  # fmt: skip
+        fill_tta(group, table, source, content, tasks, goals)
+        with disk(path):
+            del file["goals"]
+            columns.write_table(file.create_group("goals"), layout.GOALS, goals.values())
+    return open_dataset(path)
+
+
+@contextmanager
+def _copy(path: Path) -> Iterator[tuple[h5py.File, Dataset]]:
+    dataset = open_dataset(path)
+    with replacing(path) as temporary:
+        with disk(path):
+            shutil.copyfile(path, temporary)
+            file = h5py.File(temporary, "r+", **ALIGNED)
+        with closing(file, path):
+            yield file, dataset
+        read_file(temporary)
+
+
+def _task_rows(dataset: Dataset) -> list[TaskRow]:
+    return [
+        TaskRow(name, index, "both", {})
+        for name, index in zip(dataset.tasks.names, dataset.tasks.indices, strict=True)
+    ]

@@ -1,0 +1,89 @@
+"""A hand-made file: two cheetah_dir-like tasks, D = 2, A = 1, episodes of 1, 2 and 3 steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.store.reader import Dataset
+from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
+from mpdt.data.store.tables import TaskRow
+from mpdt.data.store.writer import write_file
+
+UNIFORM, FINAL = bytes(range(32)), bytes([7] * 32)
+
+
+def make_episode(
+    length: int,
+    first: float = 0.0,
+    task: int = 0,
+    quality: int = 0,
+    block: int = 0,
+    row: int = 0,
+    success: bool | None = None,
+    policy: bytes = UNIFORM,
+    progress: float = 0.0,
+) -> Episode:
+    """Counting numbers from `first`: observations first, first+1, ...; rewards 1, 2, ..."""
+    ends = np.arange(length) == length - 1
+    return Episode(
+        observations=first + np.arange(2 * (length + 1), dtype=np.float32).reshape(-1, 2),
+        actions=-first - np.arange(length, dtype=np.float32).reshape(-1, 1),
+        rewards=np.arange(1, length + 1, dtype=np.float32),
+        terminations=np.zeros(length, bool),
+        truncations=ends,
+        successes=None if success is None else ends & success,
+        task=task,
+        goal=np.array([1.0 if task == 0 else -1.0]),
+        quality=quality,
+        progress=progress,
+        policy=policy,
+        seed_key=(0, task, quality, block, row),
+    )
+
+
+HEADER = FileHeader(
+    family="cheetah_dir",
+    name="hand-made",
+    version="1.0.0",
+    license="CC0-1.0",
+    spec={"name": "hand-made", "seed": 3},
+    observation_size=2,
+    action_size=1,
+    has_success=False,
+    tasks=(
+        TaskRow("forward", 0, "both", {"entry_point": "x:y", "kwargs": {"task": "forward"}}),
+        TaskRow("backward", 1, "both", {}, ref_random=-1.0, ref_zero=0.0, ref_expert=9.0),
+    ),
+    policies=(
+        PolicyInfo(UNIFORM, 0, 0, 0.0, -1, 1.0, "uniform"),
+        PolicyInfo(FINAL, 0, 19, 1.0, 3_200_000, 0.0, "ppo-3.2M"),
+        PolicyInfo(UNIFORM, 1, 0, 0.0, -1, 1.0, "uniform"),
+    ),
+)
+
+EPISODES = (
+    make_episode(1, 100.0),
+    make_episode(2, 200.0, row=1),
+    make_episode(3, 300.0, quality=2, policy=FINAL, progress=1.0),
+    make_episode(1, 400.0, task=1),
+)
+
+
+def source(episodes: tuple[Episode, ...] = EPISODES) -> EpisodeSource:
+    return EpisodeSource(episodes, len(episodes), sum(e.length for e in episodes))
+
+
+def tta_source() -> TtaSource:
+    one, two = make_episode(2, 500.0, quality=4), make_episode(1, 600.0, quality=4, row=1)
+    other = replace(make_episode(1, 700.0, task=1, quality=4), goal=np.array([0.5]))
+    return TtaSource((one, two, other), 3, 4, {0: 1500.0, 1: 0.25}, {"action_scale": 3.0})
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Dataset:
+    return write_file(tmp_path / "hand-made.h5", HEADER, source(), {"default": tta_source()})
