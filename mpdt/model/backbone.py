@@ -30,7 +30,7 @@ class BackboneSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Which language model, how much of it, and whether it may move."""
 
     name: str = "auto"
-    """auto, gpt2, smollm2-135m, random[:gpt2|:smollm2-135m|:tiny|:tiny-llama], a folder or hub id."""
+    """auto, gpt2, smollm2-135m, random:SHAPE (those two, tiny, tiny-llama), a folder or hub id."""
     depth: int | None = None
     """Keep only the first blocks; None keeps all."""
     dtype: Literal["auto", "float32", "bfloat16"] = "auto"
@@ -107,6 +107,11 @@ class Backbone(nn.Module):
         table: Tensor = self.model.get_input_embeddings().weight
         return table.detach().to(torch.float32)
 
+    @property
+    def spread(self) -> float:
+        """Standard deviation over all entries of the embedding table: what prompts start from."""
+        return float(self.word_embeddings.std())
+
     def encode_prefix(self, prompts: Tensor | None) -> PrefixCache:
         """Run soft prompts (n, l, s) once; the cache carries their gradients.
 
@@ -118,9 +123,7 @@ class Backbone(nn.Module):
         from transformers import DynamicCache
 
         cache = DynamicCache()
-        self.model(
-            inputs_embeds=prompts.to(self.dtype), past_key_values=cache, use_cache=True
-        )
+        self.model(inputs_embeds=prompts.to(self.dtype), past_key_values=cache, use_cache=True)
         keys = tuple(layer.keys for layer in cache.layers)
         values = tuple(layer.values for layer in cache.layers)
         return PrefixCache(keys, values, prompts.shape[1])

@@ -7,15 +7,16 @@ hash, may be deleted at any time, and is skipped where nothing can be written.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
+import io
 import json
 import logging
 import os
 import threading
 import urllib.request
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -89,8 +90,6 @@ def _hash_tensors(tensors: Mapping[str, Tensor]) -> str:
 
 
 def _native_bfloat16() -> bool:
-    if not torch.backends.mkldnn.is_available():
-        return False
     return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
 
 
@@ -199,9 +198,9 @@ def _smollm2(depth: int | None, dtype: torch.dtype) -> Any:
         return model
     from transformers import AutoConfig, AutoModel
 
-    with _quiet():
-        config = AutoConfig.from_pretrained(str(file.parent), gguf_file=file.name)
-        config = _truncate(config, depth, "smollm2-135m")
+    # The shape is known by heart: reading it from the file parses the whole vocabulary again.
+    config = _truncate(AutoConfig.for_model(**_SHAPES["smollm2-135m"]), depth, "smollm2-135m")
+    with _quiet(), contextlib.redirect_stderr(io.StringIO()):  # a progress bar without a switch
         model = AutoModel.from_pretrained(
             str(file.parent), gguf_file=file.name, config=config, dtype=torch.float32
         )
@@ -233,7 +232,7 @@ def _cache_folder() -> Path:
 def _read_cache(path: Path) -> Any | None:
     """The cached model, or None if there is none or its bytes are not what was written."""
     from safetensors import SafetensorError, safe_open
-    from transformers import AutoConfig, AutoModel
+    from transformers import MODEL_MAPPING, AutoConfig
 
     if not path.is_file():
         return None
@@ -249,16 +248,19 @@ def _read_cache(path: Path) -> Any | None:
         return None
     fields = json.loads(header["config"])
     config = AutoConfig.for_model(fields.pop("model_type"), **fields)
-    dtype = next(iter(tensors.values())).dtype
+    kind = MODEL_MAPPING[type(config)]
     with _quiet():
-        return AutoModel.from_config(config, dtype=dtype), tensors
+        # Sets the buffers (rotary frequencies) up as well, which assigning tensors would not.
+        return kind.from_pretrained(None, config=config, state_dict=tensors, dtype=config.dtype)
 
 
 def _write_cache(path: Path, model: Any, dtype: torch.dtype) -> None:
     from safetensors.torch import save_file
 
     tensors = {key: value.detach().to(dtype) for key, value in model.named_parameters()}
-    header = {"config": model.config.to_json_string(), "fingerprint": _hash_tensors(tensors)}
+    fields = {**model.config.to_dict(), "dtype": str(dtype).removeprefix("torch.")}
+    fields.pop("quantization_config", None)  # what is written is dense
+    header = {"config": json.dumps(fields), "fingerprint": _hash_tensors(tensors)}
     partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -269,7 +271,7 @@ def _write_cache(path: Path, model: Any, dtype: torch.dtype) -> None:
         _log.info("weights are not cached: %s", error)
 
 
-@contextmanager
+@contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """No progress bars and no report of the blocks left out on purpose."""
     from transformers.utils import logging as talk

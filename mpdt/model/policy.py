@@ -1,4 +1,4 @@
-"""The policy: windows behind soft prompts in, actions out; and its closed loop.
+"""The policy: windows behind soft prompts in, actions out.
 
 Axes: n tasks, M windows, K steps, D observation, A action, l prompt length, s width, B rows.
 """
@@ -6,16 +6,19 @@ Axes: n tasks, M windows, K steps, D observation, A action, l prompt length, s w
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
 import torch
+from einops import repeat
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mpdt.model.backbone import Backbone
+from mpdt.model.backbone import Backbone, PrefixCache
 from mpdt.model.returns import ReturnTable
 from mpdt.model.tokens import InputMap, InputSettings
+from mpdt.model.weights import check_shapes
 
 
 class HeadSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -33,12 +36,12 @@ class HeadSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 class Windows(Protocol):
     """What a sampler hands over: numpy arrays (n, M, K, ...)."""
 
-    observations: np.ndarray
-    previous_actions: np.ndarray
-    actions: np.ndarray
-    returns_to_go: np.ndarray
-    timesteps: np.ndarray
-    mask: np.ndarray
+    observations: NDArray[Any]
+    previous_actions: NDArray[Any]
+    actions: NDArray[Any]
+    returns_to_go: NDArray[Any]
+    timesteps: NDArray[Any]
+    mask: NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class PolicyBatch:
     def from_windows(cls, windows: Windows) -> PolicyBatch:
         """The same windows as tensors that share the arrays' memory where they can."""
 
-        def tensor(array: np.ndarray) -> Tensor:
+        def tensor(array: NDArray[Any]) -> Tensor:
             return torch.from_numpy(np.ascontiguousarray(array))
 
         return cls(
@@ -92,14 +95,25 @@ class PromptPolicy(nn.Module):
         backbone: Backbone,
         inputs: InputSettings,
         head: HeadSettings,
-        observation_mean: np.ndarray,
-        observation_std: np.ndarray,
+        observation_mean: NDArray[Any],
+        observation_std: NDArray[Any],
         action_size: int,
         seed: int = 0,
     ) -> None:
         """Statistics (D,) must come from training tasks only. `seed` starts map and head."""
         super().__init__()
-        raise NotImplementedError
+        self.backbone = backbone
+        self.observation_size, self.action_size = len(observation_mean), action_size
+        self.inputs = InputMap(
+            inputs,
+            self.observation_size,
+            action_size,
+            backbone.word_embeddings,
+            torch.from_numpy(np.asarray(observation_mean, dtype=np.float32)),
+            torch.from_numpy(np.asarray(observation_std, dtype=np.float32)),
+            seed,
+        )
+        self.head = _build_head(head, backbone.width, action_size, seed)
 
     def forward(
         self,
@@ -119,55 +133,76 @@ class PromptPolicy(nn.Module):
             generator: hand one in while training, to apply `return_dropout`.
             layer_features: also return the output of every block where actions are predicted.
         """
-        raise NotImplementedError
+        tokens, mask = self._tokens(batch, returns, generator)
+        hidden, features = self.backbone(prompts, tokens, mask, layer_features)
+        return PolicyOutput(
+            self.head(self._predicting(hidden)),
+            tuple(self._predicting(feature) for feature in features),
+        )
+
+    def predict(
+        self, prefix: PrefixCache, batch: PolicyBatch, returns: ReturnTable | None = None
+    ) -> Tensor:
+        """Actions (B, K, A) of B rows (n = B, M = 1) whose prompts have been run already."""
+        tokens, mask = self._tokens(batch, returns, None)
+        hidden, _ = self.backbone.forward_with_cache(prefix, tokens[:, 0], mask[:, 0])
+        actions: Tensor = self.head(self._predicting(hidden[:, None]))
+        return actions[:, 0]
 
     def own_state(self) -> dict[str, Tensor]:
         """Everything but a frozen backbone: trainables and the buffers they were trained with."""
-        raise NotImplementedError
+        frozen = self.backbone.frozen
+        return {
+            name: value
+            for name, value in self.state_dict().items()
+            if not (frozen and name.startswith("backbone."))
+        }
 
     def load_own_state(self, state: dict[str, Tensor]) -> None:
         """Undo `own_state`. Raises: ShapeError for missing, unknown or misshapen tensors."""
-        raise NotImplementedError
+        own = self.own_state()
+        check_shapes({k: tuple(v.shape) for k, v in own.items()}, state, "PromptPolicy")
+        self.load_state_dict(state, strict=False)
+
+    def _tokens(
+        self, batch: PolicyBatch, returns: ReturnTable | None, generator: torch.Generator | None
+    ) -> tuple[Tensor, Tensor]:
+        """Tokens (n, M, K q, s) and their mask (n, M, K q), q tokens per step."""
+        settings = self.inputs.settings
+        seen = None
+        if returns is not None and settings.return_to_go != "none":
+            seen = returns.normalise(batch.returns_to_go, settings.return_clip)
+        tokens = self.inputs(
+            batch.observations, batch.previous_actions, seen, batch.timesteps, batch.mask,
+            batch.actions, generator,
+        )  # fmt: skip
+        return tokens, repeat(batch.mask, "n M K -> n M (K q)", q=settings.tokens_per_step)
+
+    def _predicting(self, x: Tensor) -> Tensor:
+        """The tokens that predict an action: all, or the middle one of three."""
+        return x if self.inputs.settings.tokens_per_step == 1 else x[:, :, 1::3]
+
+
+def _build_head(settings: HeadSettings, width: int, action_size: int, seed: int) -> nn.Sequential:
+    hidden = width if settings.hidden is None else settings.hidden
+    layers: list[nn.Module] = []
+    if settings.layer_norm:
+        layers.append(nn.LayerNorm(width, elementwise_affine=settings.affine))
+    with torch.random.fork_rng(devices=[]):  # the layers below draw from the global generator
+        torch.manual_seed(seed)
+        if hidden:
+            layers += [nn.Linear(width, hidden), nn.GELU()]
+        layers.append(nn.Linear(hidden or width, action_size))
+    if settings.tanh:
+        layers.append(nn.Tanh())
+    return nn.Sequential(*layers)
 
 
 def action_loss(predicted: Tensor, actions: Tensor, mask: Tensor) -> Tensor:
-    """Mean squared error per action component over real steps (FACTS: L_act)."""
-    raise NotImplementedError
+    """Mean squared error per action component over real steps.
 
-
-class ClosedLoop:
-    """B rows acting at once, each behind the soft prompt of its task.
-
-    The prompts run once, here; afterwards only the window of the last K steps moves. Equal to
-    `PromptPolicy.forward` on the same histories. No gradients.
+    predicted, actions (n, M, K, A), mask (n, M, K). Pads count neither above nor below the line.
+    Source: Chen et al. 2021; Xu et al. 2022.
     """
-
-    def __init__(
-        self,
-        policy: PromptPolicy,
-        prompts: Tensor | None,
-        prompt_index: Tensor,
-        context: int,
-        returns: ReturnTable | None = None,
-        action_low: float = -1.0,
-        action_high: float = 1.0,
-    ) -> None:
-        """Prompts (P, l, s); prompt_index (B,) int picks one per row; returns has P rows.
-
-        Actions are clipped to the box before they are returned and remembered.
-        """
-        raise NotImplementedError
-
-    def reset(self, targets: np.ndarray | None = None) -> None:
-        """Forget the histories. targets (B,) raw returns; None takes `returns.target`."""
-        raise NotImplementedError
-
-    def act(
-        self, observations: np.ndarray, previous_rewards: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Actions (B, A) float32 for observations (B, D).
-
-        previous_rewards (B,): what the action before earned; it lowers the return-to-go.
-        None at the first step, or to keep the return-to-go constant.
-        """
-        raise NotImplementedError
+    squared = (predicted - actions).square().mean(dim=-1)
+    return squared.masked_fill(~mask, 0.0).sum() / mask.sum()

@@ -29,7 +29,7 @@ class PromptSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     init_std: float | Literal["embedding"] = "embedding"
     """Spread of P_c; the paper's is 1.0. embedding: P_c o P_k spreads like the word embeddings."""
     task_init: Literal["normal", "ones"] = "normal"
-    """normal: v_k, u_k ~ N(0, 1), the paper's. ones: P_k starts near 1, so P_c alone is a policy."""
+    """normal: v_k, u_k ~ N(0, 1), the paper's. ones: P_k starts near 1, P_c alone is a policy."""
     task_noise: float = 0.1
     """Spread around the start `ones`; the tasks must not start equal in every rank."""
 
@@ -108,6 +108,8 @@ class AdaptedPrompts(nn.Module):
         cross: (n, l, s) the tuned copies of P_c, or fixed for `cross_random` and `none`.
     """
 
+    fixed: Tensor
+
     def __init__(
         self, trained: DecomposedPrompts, start: Start, num_tasks: int,
         donors: Sequence[int] | None = None, seed: int = 0,
@@ -126,8 +128,35 @@ class AdaptedPrompts(nn.Module):
             seed: for `cross_random`.
         """
         super().__init__()
-        raise NotImplementedError
+        if (donors is not None) != (start == "cross_one"):
+            raise SpecError(
+                "donor tasks go with the start cross_one, and with no other",
+                where=f"start {start}",
+                expected="donors" if start == "cross_one" else "no donors",
+                found=str(donors),
+            )
+        if donors is not None and len(donors) != num_tasks:
+            raise ShapeError(
+                "one donor per unseen task", expected=str(num_tasks), found=str(len(donors))
+            )
+        self.start = start
+        cross = trained.cross.detach().repeat(num_tasks, 1, 1)
+        self.cross = nn.Parameter(cross, requires_grad=start not in ("cross_random", "none"))
+        parts = trained.task_parts().detach()
+        if start == "cross_random":
+            generator = torch.Generator().manual_seed(seed)
+            shapes = (trained.task_v.shape[1:], trained.task_u.shape[1:])
+            v, u = (torch.randn((num_tasks, *shape), generator=generator) for shape in shapes)
+            self.task_v, self.task_u = nn.Parameter(v), nn.Parameter(u)
+        elif start == "cross":
+            self.register_buffer("fixed", torch.ones(num_tasks, 1, 1))
+        elif donors is not None:
+            self.register_buffer("fixed", parts[list(donors)])
+        else:
+            self.register_buffer("fixed", parts.mean(dim=0).repeat(num_tasks, 1, 1))
 
     def task_prompts(self, rows: Tensor | None = None) -> Tensor:
         """Prompts (n, l, s) of the tasks `rows` (n,), or of all."""
-        raise NotImplementedError
+        part = self.task_v @ self.task_u if self.start == "cross_random" else self.fixed
+        prompts: Tensor = self.cross * part
+        return prompts if rows is None else prompts[rows]

@@ -82,9 +82,7 @@ def per_task_returns(returns_to_go: Sequence[np.ndarray]) -> ReturnTable:
     return ReturnTable(torch.where(size > 0, size, 1.0), low, high, high)
 
 
-def family_returns(
-    returns_to_go: Sequence[np.ndarray], target: float, scale: float
-) -> ReturnTable:
+def family_returns(returns_to_go: Sequence[np.ndarray], target: float, scale: float) -> ReturnTable:
     """One published target and scale for all tasks (Xu et al. 2022); ranges stay per task."""
     own = per_task_returns(returns_to_go)
     return ReturnTable(

@@ -6,11 +6,17 @@ loaded into another backbone, other data or other shapes.
 
 from __future__ import annotations
 
+import contextlib
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
 from torch import Tensor, nn
+
+from mpdt.errors import FormatError, MissingFileError, ShapeError, StorageError
 
 FORMAT = "mpdt-weights/1"
 
@@ -29,7 +35,21 @@ class WeightsHeader(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 def save_weights(path: Path, tensors: Mapping[str, Tensor], header: WeightsHeader) -> None:
     """Write atomically. Raises: StorageError if the disk refuses."""
-    raise NotImplementedError
+    # Own copies: safetensors refuses tensors that share memory.
+    own = {name: value.detach().clone().contiguous() for name, value in tensors.items()}
+    partial = path.with_name(f"{path.name}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        data = save(own, metadata={"mpdt": msgspec.json.encode(header).decode()})
+        with partial.open("wb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        partial.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise StorageError("cannot write weights", where=str(path), found=str(error)) from error
 
 
 def load_weights(
@@ -44,7 +64,66 @@ def load_weights(
     Raises: MissingFileError, FormatError (not safetensors, no header, another format or kind,
     another hash), ShapeError (missing, unknown or misshapen tensors).
     """
-    raise NotImplementedError
+    if not path.is_file():
+        raise MissingFileError(
+            "no such file of weights", where=str(path), hint="`mpdt-train run` writes one"
+        )
+    try:
+        with safe_open(path, framework="pt") as stored:
+            text = (stored.metadata() or {}).get("mpdt")
+            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise FormatError(
+            "not a whole safetensors file", where=str(path), found=str(error)
+        ) from error
+    header = _read_header(path, text)
+    if kind is not None and header.kind != kind:
+        raise FormatError("other weights", where=str(path), expected=kind, found=header.kind)
+    for name, value in (hashes or {}).items():
+        if header.hashes.get(name) != value:
+            raise FormatError(
+                f"trained on another {name}",
+                where=str(path),
+                expected=value,
+                found=header.hashes.get(name, "nothing recorded"),
+                hint=f"use the {name} these weights were trained with, or train again",
+            )
+    if shapes is not None:
+        check_shapes(shapes, tensors, str(path))
+    return header, tensors
+
+
+def check_shapes(
+    expected: Mapping[str, tuple[int, ...]], tensors: Mapping[str, Tensor], where: str
+) -> None:
+    """Raises: ShapeError naming the first tensor that is missing, unknown or misshapen."""
+    for name in sorted(set(expected) | set(tensors)):
+        want = str(expected[name]) if name in expected else "no such tensor"
+        have = str(tuple(tensors[name].shape)) if name in tensors else "no such tensor"
+        if want != have:
+            raise ShapeError(
+                f"tensor '{name}' does not fit", where=where, expected=want, found=have
+            )
+
+
+def _read_header(path: Path, text: str | None) -> WeightsHeader:
+    if text is None:
+        raise FormatError(
+            "safetensors, but not written by mpdt", where=str(path), expected=f"format {FORMAT}"
+        )
+    try:
+        found = str(msgspec.json.decode(text, type=dict[str, object]).get("format"))
+        if found != FORMAT:
+            raise FormatError(
+                "weights of another format",
+                where=str(path),
+                expected=FORMAT,
+                found=found,
+                hint="install the version of mpdt that wrote them",
+            )
+        return msgspec.json.decode(text, type=WeightsHeader)
+    except msgspec.MsgspecError as error:
+        raise FormatError("unreadable header", where=str(path), found=str(error)) from error
 
 
 def module_shapes(module: nn.Module) -> dict[str, tuple[int, ...]]:
