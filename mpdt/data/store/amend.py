@@ -17,10 +17,11 @@ import numpy as np
 from mpdt.data.store import columns, layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_header
+from mpdt.data.store.inherit import task_rows
 from mpdt.data.store.reader import open_dataset, read_file
 from mpdt.data.store.replacement import disk, replacing, reserve
 from mpdt.data.store.sources import TtaSource
-from mpdt.data.store.tables import Int64, Slice, Stats, TaskRow
+from mpdt.data.store.tables import Int64, Slice, Stats
 from mpdt.data.store.ttaset import fill_tta
 from mpdt.data.store.writer import ALIGNED, closing, write_slice, write_stats
 
@@ -68,7 +69,7 @@ def add_tta(path: Path, name: str, source: TtaSource) -> Dataset:
             table = columns.open_steps(group, wanted, sizes | counts, path)
             file.flush()
             reserve(Path(file.filename), Path(file.filename).stat().st_size)
-        tasks = columns.TaskIndex(_task_rows(dataset), str(path))
+        tasks = columns.TaskIndex(task_rows(dataset), str(path))
         goals = columns.GoalTable.of(dataset.goals)
         content = content_header(dataset.family, dataset.tasks.names, sizes["D"], sizes["A"],
                                  success)  # fmt: skip
@@ -89,10 +90,3 @@ def _copy(path: Path) -> Iterator[tuple[h5py.File, Dataset]]:
         with closing(file, path):
             yield file, dataset
         read_file(temporary)
-
-
-def _task_rows(dataset: Dataset) -> list[TaskRow]:
-    return [
-        TaskRow(name, index, "both", {})
-        for name, index in zip(dataset.tasks.names, dataset.tasks.indices, strict=True)
-    ]

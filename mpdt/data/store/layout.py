@@ -17,13 +17,14 @@ import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.spec.entry import canonical_json
+from mpdt.data.spec.tasks import Role
 from mpdt.errors import FormatError, UsageError
 
 FORMAT = "mpdt/1"
 ALIGNMENT_BYTES = 64
 _ATTRIBUTE_LIMIT_BYTES = 60_000  # HDF5 attributes stop at 64 kB (h5py/h5py#1855)
 
-ROLE_CODES = {"train": 0, "test": 1, "both": 2}
+ROLE_CODES: dict[Role, int] = {"train": 0, "test": 1, "both": 2}
 ROOT_TEXTS = ("format", "family", "name", "version", "spec_hash", "content_hash", "parent")
 ROOT_JSON = ("spec", "packages", "platform")
 STATS_FIELDS = ("observations", "actions", "rewards", "returns")

@@ -1,0 +1,92 @@
+"""What a cut-out file takes over from the file it is cut out of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.layout import ROLE_CODES
+from mpdt.data.store.reader import open_tta_rewards
+from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
+from mpdt.data.store.tables import Int64, TaskRow
+from mpdt.data.store.ttaset import tta_episodes
+
+_ROLES = {code: role for role, code in ROLE_CODES.items()}
+
+
+def header_of(dataset: Dataset, rows: Sequence[int] | None = None) -> FileHeader:
+    """The header of a file cut out of `dataset`, with its hash as parent.
+
+    Packages and platform stay those that made the episodes.
+
+    Args:
+        rows: rows of the task table to keep, ascending; None = all.
+    """
+    kept = list(range(len(dataset.tasks))) if rows is None else list(rows)
+    tasks = [task_rows(dataset)[row] for row in kept]
+    indices = {task.index for task in tasks}
+    return FileHeader(
+        family=dataset.family,
+        name=dataset.name,
+        version=dataset.version,
+        license=dataset.license,
+        spec=dataset.spec,
+        observation_size=dataset.observation_size,
+        action_size=dataset.action_size,
+        has_success=dataset.steps.successes is not None,
+        tasks=tasks,
+        policies=[policy for policy in dataset.policy_infos() if policy.task in indices],
+        parent=dataset.content_hash,
+        packages=dataset.packages,
+        platform=dataset.platform,
+    )
+
+
+def task_rows(dataset: Dataset) -> list[TaskRow]:
+    """The task table as the writer takes it."""
+    tasks = dataset.tasks
+    return [
+        TaskRow(
+            name=tasks.names[row],
+            index=tasks.indices[row],
+            role=_ROLES[int(tasks.roles[row])],
+            env=tasks.envs[row],
+            ref_random=float(tasks.ref_random[row]),
+            ref_zero=float(tasks.ref_zero[row]),
+            ref_expert=float(tasks.ref_expert[row]),
+        )
+        for row in range(len(tasks))
+    ]
+
+
+def episodes_of(dataset: Dataset, ids: Int64) -> EpisodeSource:
+    """The episodes of ascending ids, with those ids as `source` column."""
+    return EpisodeSource(
+        episodes=(dataset.episode(i) for i in ids.tolist()),
+        num_episodes=len(ids),
+        num_steps=int(dataset.episodes.length[ids].sum()),
+        source_ids=ids.tolist(),
+    )
+
+
+def tta_of(dataset: Dataset, name: str, rows: Sequence[int] | None = None) -> TtaSource:
+    """A TTA set of `dataset` for another file, simulator's rewards included.
+
+    Args:
+        rows: rows of the task table to keep; None = all.
+    """
+    tta = dataset.tta[name]
+    kept = set(range(len(dataset.tasks)) if rows is None else rows)
+    ids = [i for i in range(len(tta)) if int(tta.task[i]) in kept]
+    rewards, successes = open_tta_rewards(dataset.path, name)
+    indices = {dataset.tasks.indices[row] for row in kept}
+    presets = {
+        dataset.tasks.indices[tta.task[i]]: float(tta.preset_return[i]) for i in reversed(ids)
+    }
+    return TtaSource(
+        episodes=(e for e in tta_episodes(dataset, name, rewards, successes) if e.task in indices),
+        num_episodes=len(ids),
+        num_steps=int(sum(tta.length[i] for i in ids)),
+        preset_returns=presets,
+        rule=tta.rule,
+    )
