@@ -70,7 +70,10 @@ def find_rate(level: Callable[[float, bool], float]) -> float:
         return careful[rate] >= 0.5
 
     walk = list(RATES)
-    place = next(i for i, rate in enumerate(walk) if rate == 0.0 or level(rate, False) >= 0.5)
+    between = walk[1:-1]
+    place = next(
+        (i for i, rate in enumerate(between, 1) if level(rate, False) >= 0.5), len(walk) - 1
+    )
     # The walk used few episodes, so ask again with more on both sides of the crossing.
     while not passes(walk[place]):
         place += 1

@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from mpdt.data.sim.metaworld import MetaworldEnv, scripted_policy
+from mpdt.data.sim.policies import ScriptedPolicy, UniformPolicy, ZeroPolicy, definition_hash
+from mpdt.errors import UsageError
+from mpdt.seeding import SeedKey, Stream
+
+KEYS = [SeedKey(7, 3, 0, 1, 0, row) for row in range(3)]
+GOALS = [np.zeros(3)] * 3
+BLANK = np.zeros((3, 39))
+
+
+def run(policy, keys, horizon, observations=BLANK):
+    policy.begin(keys, GOALS[: len(keys)], horizon)
+    return np.stack([policy.act(t, observations[: len(keys)]) for t in range(horizon)], axis=1)
+
+
+def test_definition_hash_is_sha256_of_canonical_json():
+    expected = hashlib.sha256(b'{"a":[1,2.5],"b":"x"}').digest()
+    assert definition_hash({"b": "x", "a": [1, 2.5]}) == expected
+
+
+def test_uniform_row_is_its_keys_own_stream():
+    actions = run(UniformPolicy(4, -1.0, 1.0), KEYS, 6)
+    for row, key in enumerate(KEYS):
+        expected = key.generator(Stream.UNIFORM).uniform(-1.0, 1.0, (6, 4))
+        np.testing.assert_array_equal(actions[row], expected)
+    assert not np.array_equal(actions[0], actions[1])
+
+
+def test_uniform_shorter_horizon_is_a_prefix_and_width_does_not_matter():
+    wide = run(UniformPolicy(4, -1.0, 1.0), KEYS, 20)
+    narrow = run(UniformPolicy(4, -1.0, 1.0), KEYS[1:2], 8)
+    np.testing.assert_array_equal(wide[1:2, :8], narrow)
+
+
+def test_uniform_scale_widens_the_box():
+    plain = run(UniformPolicy(4, -1.0, 1.0), KEYS, 50)
+    wide = run(UniformPolicy(4, -1.0, 1.0, 3.0), KEYS, 50)
+    np.testing.assert_allclose(wide, 3.0 * plain, rtol=1e-12)
+    # Two thirds of a uniform draw from [-3, 3] lie outside [-1, 1]; 600 draws, 4 sigma = .077
+    assert abs((np.abs(wide) > 1).mean() - 2 / 3) < 0.08
+
+
+def test_zero_policy():
+    assert run(ZeroPolicy(4), KEYS, 2).tolist() == np.zeros((3, 2, 4)).tolist()
+
+
+def test_hashes_tell_policies_apart_and_nothing_else():
+    same = {
+        UniformPolicy(4, -1.0, 1.0).info.hash,
+        UniformPolicy(4, -1, 1, 1, task=3).info.hash,
+    }
+    assert len(same) == 1
+    policies = [
+        UniformPolicy(4, -1.0, 1.0),
+        UniformPolicy(4, -1.0, 1.0, 3.0),
+        UniformPolicy(6, -1.0, 1.0),
+        ZeroPolicy(4),
+        ScriptedPolicy(["reach"], 0.0),
+        ScriptedPolicy(["reach"], 0.5),
+        ScriptedPolicy(["push"], 0.5),
+    ]
+    assert len({policy.info.hash for policy in policies}) == len(policies)
+    assert all(len(policy.info.hash) == 32 for policy in policies)
+    names = [policy.info.name for policy in policies]
+    assert names[:2] == ["uniform", "uniform*3"] and names[4:6] == ["script", "script+u0.50"]
+
+
+@pytest.fixture(scope="module")
+def reach():
+    env = MetaworldEnv("reach")
+    return env.reset(env.draw(5))
+
+
+def test_rate_one_is_exactly_uniform(reach):
+    observations = np.stack([reach] * 3)
+    mixed = run(ScriptedPolicy(["reach"] * 3, 1.0), KEYS, 30, observations)
+    np.testing.assert_array_equal(mixed, run(UniformPolicy(4, -1.0, 1.0), KEYS, 30))
+
+
+def test_rate_zero_is_exactly_the_clipped_script(reach):
+    observations = np.stack([reach] * 3)
+    with pytest.warns(UserWarning, match="may be too high"):
+        expected = np.clip(scripted_policy("reach").get_action(reach), -1.0, 1.0)
+    mixed = run(ScriptedPolicy(["reach"] * 3, 0.0), KEYS, 4, observations)
+    for row in range(3):
+        for step in range(4):
+            np.testing.assert_array_equal(mixed[row, step], expected)
+    # This start is far from the goal, so the script itself asks for more than 1.
+    assert np.abs(expected).max() == 1.0
+
+
+def test_mixing_replaces_where_the_coin_says_and_nests_over_rates(reach):
+    observations = np.stack([reach] * 3)
+    script = run(ScriptedPolicy(["reach"] * 3, 0.0), KEYS, 200, observations)
+    uniform = run(UniformPolicy(4, -1.0, 1.0), KEYS, 200)
+    for rate in (0.3, 0.7):
+        mixed = run(ScriptedPolicy(["reach"] * 3, rate), KEYS, 200, observations)
+        coins = np.stack([key.generator(Stream.POLICY).random(200) < rate for key in KEYS])
+        np.testing.assert_array_equal(mixed, np.where(coins[..., None], uniform, script))
+        # 600 coins: four standard errors are at most 0.08
+        assert abs(coins.mean() - rate) < 0.08
+
+
+@pytest.mark.parametrize("rate", [-0.1, 1.5, float("nan")])
+def test_rate_outside_the_unit_interval_is_refused(rate):
+    with pytest.raises(
+        UsageError, match=r"mixing rate out of range; expected a number in \[0, 1\]"
+    ):
+        ScriptedPolicy(["reach"], rate)
+
+
+def test_unknown_script_names_the_nearest():
+    with pytest.raises(UsageError, match="did you mean 'reach'"):
+        ScriptedPolicy(["reech"]).begin(KEYS[:1], GOALS[:1], 5)
