@@ -11,7 +11,6 @@ at all. It is checked whenever it is read; a damaged one counts as missing.
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,10 +20,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from mpdt.data.disk import storage_errors
 from mpdt.data.episode import Episode
 from mpdt.data.plan import Block
 from mpdt.data.store.digest import episode_digest
+from mpdt.data.store.replacement import disk, replacing
 from mpdt.errors import DataError
 
 _COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
@@ -110,17 +109,8 @@ class Part:
         return returns
 
     def _save(self, **arrays: npt.NDArray[Any]) -> None:
-        target = self.path
-        temporary = target.with_name(f"{target.name}.{os.getpid()}.tmp")
-        with storage_errors(target):
-            try:
-                with temporary.open("wb") as file:
-                    np.savez(file, **arrays)  # type: ignore[arg-type]
-                    file.flush()
-                    os.fsync(file.fileno())
-                temporary.replace(target)
-            finally:
-                temporary.unlink(missing_ok=True)
+        with replacing(self.path) as temporary, disk(self.path), temporary.open("wb") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
 
     def _load(self, *names: str) -> dict[str, npt.NDArray[Any]]:
         try:

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from mpdt.data.disk import storage_errors, write_atomically
 from mpdt.data.part import Part
 from mpdt.data.plan import Block
+from mpdt.data.store.replacement import disk, replacing
 from mpdt.errors import BusyError, DataError
 
 
@@ -42,7 +42,7 @@ class PartsFolder:
 
         Raises: BusyError with the other collector's process id; StorageError.
         """
-        with storage_errors(self.path):
+        with disk(self.path):
             (self.path / "blocks").mkdir(parents=True, exist_ok=True)
             lock = self._take_lock()
         try:
@@ -86,7 +86,8 @@ class PartsFolder:
         if found is None:
             if any((self.path / "blocks").iterdir()):
                 self.clear()  # parts of an unknown plan are worth nothing
-            write_atomically(path, json.dumps(plan, indent=1, sort_keys=True).encode())
+            with replacing(path) as temporary, disk(path):
+                temporary.write_text(json.dumps(plan, indent=1, sort_keys=True))
         elif changed := changed_keys(found, plan):
             raise DataError(
                 "the unfinished parts were made for another plan: " + "; ".join(changed),
@@ -102,7 +103,7 @@ class PartsFolder:
 
     def clear(self) -> None:
         """Delete every part and the plan; the lock stays."""
-        with storage_errors(self.path):
+        with disk(self.path):
             shutil.rmtree(self.path / "blocks", ignore_errors=True)
             (self.path / "blocks").mkdir()
             (self.path / "plan.json").unlink(missing_ok=True)

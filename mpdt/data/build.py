@@ -1,0 +1,216 @@
+"""Build: where sim meets store. From a spec to a finished file, resumable at every block.
+
+spec -> plan -> lock -> missing blocks on workers -> levels -> pack -> parts deleted
+          |                     |                      |
+          '- nothing to do?     '- parts survive any   '- qualities out of order:
+             file is complete      kill                   nothing is written
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from mpdt.data.episode import PolicyInfo
+from mpdt.data.levels import check_levels, measure_levels
+from mpdt.data.pack import pack
+from mpdt.data.parts import PartsFolder, changed_keys
+from mpdt.data.plan import Block, Plan, make_plan
+from mpdt.data.runner import BlockReport, BlockRunner, report_part
+from mpdt.data.sim.engines import default_workers, map_blocks
+from mpdt.data.sim.ladder import load_ladder
+from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.store import provenance
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.reader import open_dataset
+from mpdt.errors import DataError, FormatError, StorageError, UsageError
+
+# What the bytes of a block depend on beside the spec; parts of other versions never mix.
+PACKAGES = ("mpdt", "python", "numpy", "mujoco", "metaworld")
+MACHINE = ("arch", "cpu", "blas")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a collection stands. `steps` are env steps, counted at the full horizon."""
+
+    num_blocks: int
+    num_steps: int
+    done_blocks: int
+    done_steps: int
+    resumed_blocks: int  # done by an earlier run
+    resumed_steps: int
+    damaged_blocks: int  # parts of an earlier run that are done again
+    last: Block | None  # the block that just finished
+
+
+OnProgress = Callable[[Progress], None]
+
+
+@dataclass(frozen=True)
+class Collected:
+    """Result of `collect`: the open file, and what was done for it."""
+
+    dataset: Dataset
+    is_new: bool
+    num_workers: int = 0
+    resumed_blocks: int = 0
+    warnings: list[str] = field(default_factory=list)
+
+
+def collect(
+    spec: DatasetSpec,
+    target: Path,
+    *,
+    workers: int | None = None,
+    restart: bool = False,
+    on_progress: OnProgress | None = None,
+) -> Collected:
+    """Make the file of `spec` at `target`, or go on with an interrupted collection.
+
+    The content depends on the spec, the package versions, the CPU type and the behaviour
+    weights only: not on `workers`, interruptions or order.
+
+    Args:
+        workers: processes; None = one per core, 0 = in this process.
+        restart: ignore and delete what an earlier run left, and replace a finished file.
+        on_progress: called once at the start and after every block.
+
+    Raises: DataError if the file or its unfinished parts belong to another spec, or if the
+        qualities are not in order; BusyError if another collector holds the target;
+        StorageError; SpecError; SimulatorError. Finished blocks are kept in every case.
+    """
+    if workers is not None and workers < 0:
+        raise UsageError("a negative number of workers", found=str(workers))
+    plan, folder = make_plan(spec), PartsFolder(target)
+    if not restart and (finished := find_finished(plan, target)):
+        return Collected(finished, is_new=False)
+    policies = load_ladder(spec).policies(plan.tasks)
+    check_space(plan, target)
+    with folder.locked():
+        if restart:
+            folder.clear()
+        elif finished := find_finished(plan, target):  # by another collector, meanwhile
+            folder.delete()
+            return Collected(finished, is_new=False)
+        folder.agree(describe_plan(plan, policies))
+        size = default_workers() if workers is None else workers
+        reports, resumed = _run_missing(plan, folder, size, on_progress or (lambda _: None))
+        levels = measure_levels(plan, reports)
+        warnings = check_levels(plan, levels, str(folder.path))
+        dataset = pack(plan, folder, reports, policies, levels)
+        folder.delete()
+    return Collected(dataset, True, size, resumed, warnings)
+
+
+def find_finished(plan: Plan, target: Path) -> Dataset | None:
+    """The finished file at `target` if it was made from this very spec; None if there is none.
+
+    Raises: DataError if something else is there, naming the keys of the spec that differ.
+    """
+    if not target.exists():
+        return None
+    try:
+        dataset = open_dataset(target)
+    except FormatError as error:
+        raise DataError(
+            f"the target exists, but {error.what}",
+            where=str(target),
+            hint="--restart replaces it, -o chooses another file",
+        ) from error
+    if dataset.parent:
+        raise DataError(
+            "the target exists and was cut out of another file",
+            where=str(target),
+            hint="choose another file with -o; --restart replaces it",
+        )
+    if dataset.spec_hash == plan.spec_hash:
+        return dataset
+    changed = changed_keys(dict(dataset.spec), msgspec.to_builtins(plan.spec))
+    raise DataError(
+        "the target was made from another spec: " + "; ".join(changed),
+        where=str(target),
+        hint="--restart makes it again from the new spec; -o writes another file",
+    )
+
+
+def describe_plan(plan: Plan, policies: Sequence[PolicyInfo]) -> dict[str, Any]:
+    """Content of plan.json: all that decides the bytes of the parts."""
+    versions, machine = provenance.packages(), provenance.machine()
+    return {
+        "spec": msgspec.to_builtins(plan.spec),
+        "spec_hash": plan.spec_hash,
+        "packages": {name: versions[name] for name in PACKAGES if name in versions},
+        "machine": {name: machine[name] for name in MACHINE},
+        "policies": [policy.hash.hex() for policy in policies],
+        "blocks": [block.label for block in plan.blocks],
+    }
+
+
+def check_space(plan: Plan, target: Path) -> None:
+    """Refuse to start what cannot end: parts and file together must fit on the disk.
+
+    Raises: StorageError.
+    """
+    if not target.parent.is_dir():
+        raise StorageError(
+            "the folder does not exist",
+            where=str(target.parent),
+            hint=f"mkdir -p {target.parent}",
+        )
+    needed, free = 2 * plan.file_bytes, shutil.disk_usage(target.parent).free
+    parts = PartsFolder(target).path / "blocks"
+    if parts.is_dir():
+        needed -= sum(part.stat().st_size for part in parts.glob("*.npz"))
+    if free < needed:
+        raise StorageError(
+            "not enough room on the disk for the parts and the file",
+            where=str(target),
+            expected=f"{needed / 1e6:,.0f} MB free",
+            found=f"{free / 1e6:,.0f} MB",
+            hint="free some space, or choose another place with -o",
+        )
+
+
+def _run_missing(
+    plan: Plan, folder: PartsFolder, workers: int, on_progress: OnProgress
+) -> tuple[list[BlockReport], int]:
+    """Reports of all blocks, and how many of them an earlier run had finished."""
+    reports: list[BlockReport] = []
+    missing: list[Block] = []
+    damaged = 0
+    for block in plan.blocks:
+        if report := report_part(folder, block):
+            reports.append(report)
+        else:
+            damaged += folder.part(block).path.exists()
+            missing.append(block)
+    resumed, resumed_steps = len(reports), sum(report.block.steps for report in reports)
+
+    def tell(last: Block | None) -> None:
+        on_progress(
+            Progress(
+                num_blocks=len(plan.blocks),
+                num_steps=plan.num_steps,
+                done_blocks=len(reports),
+                done_steps=sum(report.block.steps for report in reports),
+                resumed_blocks=resumed,
+                resumed_steps=resumed_steps,
+                damaged_blocks=damaged,
+                last=last,
+            )
+        )
+
+    tell(None)
+    # Closed at once on an interrupt: no worker writes a part after its lock is gone.
+    with closing(map_blocks(BlockRunner(plan, folder), missing, workers)) as results:
+        for report in results:
+            reports.append(report)
+            tell(report.block)
+    return reports, resumed

@@ -1,0 +1,117 @@
+"""BlockRunner: what a worker does with one block: simulate it, keep its part, report its returns.
+
+One copy lives in each worker and keeps the ladder and the last simulator: building them takes
+longer than a short block.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mpdt.data.episode import Episode
+from mpdt.data.parts import PartsFolder
+from mpdt.data.plan import Block, Plan
+from mpdt.data.sim.batch import BatchEnv, make_batch
+from mpdt.data.sim.collect import run_block
+from mpdt.data.sim.ladder import Ladder, load_ladder
+from mpdt.data.sim.policies import Policy, UniformPolicy, ZeroPolicy
+from mpdt.errors import DataError
+
+
+@dataclass(frozen=True, eq=False)
+class BlockReport:
+    """What is known of a finished block without opening its part again.
+
+    Shapes: returns (rows,) float64, summed rewards per episode; `steps` is their total length.
+    """
+
+    block: Block
+    steps: int
+    returns: npt.NDArray[np.float64]
+
+
+class BlockRunner:
+    """Callable on blocks; picklable before its first call."""
+
+    def __init__(self, plan: Plan, folder: PartsFolder) -> None:
+        self.plan, self.folder = plan, folder
+        self._ladder: Ladder | None = None
+        self._env: tuple[tuple[int, int], BatchEnv] | None = None
+
+    def __call__(self, block: Block) -> BlockReport:
+        """Run `block` and write its part.
+
+        Raises: StorageError, DataError (numbers that are not finite), SimulatorError.
+        """
+        episodes = self.simulate(block)
+        part = self.folder.part(block)
+        returns = np.array([episode.episode_return for episode in episodes])
+        if block.kind == "reference":
+            part.save_returns(returns)
+        else:
+            part.save_episodes(episodes)
+        return BlockReport(block, sum(episode.length for episode in episodes), returns)
+
+    def simulate(self, block: Block) -> list[Episode]:
+        """The episodes of a block, in order of their rows. A pure function of (spec, block)."""
+        plan = self.plan
+        policy, progress = self._policy(block)
+        keys = block.keys(plan.family, plan.spec.seed)
+        episodes: list[Episode] = []
+        for first in range(0, block.rows, plan.width):
+            some = keys[first : first + plan.width]
+            episodes += run_block(
+                self._batch(block, len(some)),
+                policy,
+                some,
+                horizon=block.horizon,
+                quality=int(block.quality),
+                progress=progress,
+                hidden_columns=plan.family.hidden_columns,
+                width=plan.width,
+                clip=block.kind != "tta",
+            )
+        return episodes
+
+    def _batch(self, block: Block, rows: int) -> BatchEnv:
+        wanted = (block.task.index, rows)
+        if self._env is None or self._env[0] != wanted:
+            env = make_batch(self.plan.family, [block.task] * rows, self.plan.spec.env)
+            self._env = (wanted, env)
+        return self._env[1]
+
+    def _policy(self, block: Block) -> tuple[Policy, float]:
+        """Who acts in a block, and its progress on the ladder."""
+        family = self.plan.family
+        if block.kind == "tta":
+            low, high = family.action_low, family.action_high
+            uniform = UniformPolicy(
+                family.action_size, low, high, block.action_scale, task=block.task.index
+            )
+            return uniform, 0.0
+        if block.name == "zero":
+            return ZeroPolicy(family.action_size, task=block.task.index), 0.0
+        if self._ladder is None:
+            self._ladder = load_ladder(self.plan.spec)
+        return self._ladder.policy(block.task, block.name, block.number)
+
+
+def report_part(folder: PartsFolder, block: Block) -> BlockReport | None:
+    """The report of a block that is already done, or None if its part is missing or damaged.
+
+    Reads and checks the whole part: a resumed dataset must not differ from a fresh one.
+    """
+    part = folder.part(block)
+    if not part.path.exists():
+        return None
+    try:
+        if block.kind == "reference":
+            return BlockReport(block, 0, part.load_returns())
+        episodes = part.load_episodes()
+    except DataError:
+        return None
+    returns = np.array([episode.episode_return for episode in episodes])
+    return BlockReport(block, sum(episode.length for episode in episodes), returns)

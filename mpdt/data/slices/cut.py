@@ -1,0 +1,169 @@
+"""Cut: choose episodes of a file by a rule, and write them to a file of their own.
+
+    file             episode  0 1 2 3 4 5 6 7      task a a a a b b b b
+    quality                   r r m m r r m m
+    Cut(quality="medium")         2 3     6 7      -> <name>-medium.h5, `source` = 2 3 6 7
+
+The first n episodes of a task are those with the smallest digests: a fixed order that has
+nothing to do with how they were made, so 10 are inside 100, and inside all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from mpdt.data.slices.standard import standard_slices
+from mpdt.data.slices.stats import compute_stats
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.inherit import episodes_of, header_of, tta_of
+from mpdt.data.store.reader import open_dataset
+from mpdt.data.store.tables import Additions, Int64, Stats
+from mpdt.data.store.writer import write_file
+from mpdt.errors import DataError, FormatError, UsageError
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Which episodes to keep; what is None does not matter.
+
+    Args:
+        quality: `random`, `medium`, `expert` or `history`.
+        tasks: names of tasks of the file.
+        role: tasks that are trained on, or tested on; role `both` is in either.
+        episodes: at most so many per task.
+        slice: a named slice of the file.
+    """
+
+    quality: str | None = None
+    tasks: tuple[str, ...] | None = None
+    role: Literal["train", "test"] | None = None
+    episodes: int | None = None
+    slice: str | None = None
+
+    def rule(self) -> dict[str, Any]:
+        """The conditions as JSON values, for the slice's `rule`."""
+        found = {
+            "quality": self.quality,
+            "tasks": None if self.tasks is None else list(self.tasks),
+            "role": self.role,
+            "episodes": self.episodes,
+            "slice": self.slice,
+        }
+        return {name: value for name, value in found.items() if value is not None}
+
+    def suffix(self) -> str:
+        """What the file's name gains: `-medium`, `-expert-train-10`."""
+        parts = [self.slice, self.quality, self.role]
+        if self.tasks:
+            few = len(self.tasks) <= 3
+            parts.append("+".join(self.tasks) if few else f"{len(self.tasks)}tasks")
+        if self.episodes is not None:
+            parts.append(str(self.episodes))
+        return "".join(f"-{part}" for part in parts if part)
+
+
+def task_rows(dataset: Dataset, cut: Cut) -> list[int]:
+    """Rows of the task table that `cut` allows, ascending. Raises: UsageError for a name."""
+    rows = set(range(len(dataset.tasks)))
+    if cut.tasks is not None:
+        rows &= {dataset.task_row(name) for name in cut.tasks}
+    if cut.role is not None:
+        tasks = dataset.tasks
+        rows &= set(tasks.train_rows if cut.role == "train" else tasks.test_rows)
+    return sorted(rows)
+
+
+def choose(dataset: Dataset, cut: Cut) -> Int64:
+    """Ascending absolute ids of the episodes to keep.
+
+    Raises: UsageError for an unknown name or a count below 1; DataError if nothing is left.
+    """
+    if cut.episodes is not None and cut.episodes < 1:
+        raise UsageError(
+            "too few episodes", where="--episodes", expected="1 or more", found=str(cut.episodes)
+        )
+    ids = dataset.select(
+        task=[int(row) for row in task_rows(dataset, cut)], quality=cut.quality, slice=cut.slice
+    )
+    if cut.episodes is not None:
+        ids = _first(dataset, ids, cut.episodes)
+    if not len(ids):
+        raise DataError(
+            f"no episode fits {cut.rule()}",
+            where=str(dataset.path),
+            hint=f"see what there is: mpdt-data show {dataset.path}",
+        )
+    return ids
+
+
+def _first(dataset: Dataset, ids: Int64, count: int) -> Int64:
+    digests, tasks = dataset.episodes.digest, dataset.episodes.task
+    kept: list[int] = []
+    for row in np.unique(tasks[ids]):
+        mine = ids[tasks[ids] == row]
+        kept += sorted(mine.tolist(), key=lambda i: digests[i].tobytes())[:count]
+    return np.array(sorted(kept), dtype=np.int64)
+
+
+def cut_file(source: Dataset, cut: Cut, target: Path) -> Dataset:
+    """Write the chosen episodes of `source` to `target` and open it.
+
+    Tasks without any episode left go, unless the cut allows them and they have a TTA set:
+    adaptation needs nothing else. Statistics are those of the train tasks that remain, or the
+    source's where none remains. Reference returns stay what they were.
+
+    Raises: as `choose` and `write_file`; DataError if `target` is not a cut-out file.
+    """
+    refuse_to_replace(source, target)
+    ids = choose(source, cut)
+    allowed = task_rows(source, cut)
+    with_tta = {int(row) for tta in source.tta.values() for row in tta.task}
+    with_episodes = {int(row) for row in source.episodes.task[ids]}
+    rows = [row for row in allowed if row in with_tta | with_episodes]
+
+    def finish(dataset: Dataset) -> Additions:
+        seen = set(dataset.episodes.task.tolist()) & set(dataset.tasks.train_rows)
+        stats = compute_stats(dataset) if seen else _inherited_stats(source, rows)
+        return Additions(slices=standard_slices(dataset), stats=stats)
+
+    tta = {name: tta_of(source, name, rows) for name in source.tta}
+    return write_file(
+        target,
+        header_of(source, rows),
+        episodes_of(source, ids),
+        {name: tta_set for name, tta_set in tta.items() if tta_set.num_episodes},
+        finish,
+    )
+
+
+def _inherited_stats(source: Dataset, rows: list[int]) -> Stats | None:
+    if source.stats_info is None:
+        return None
+    seen = tuple(rows.index(row) for row in source.stats_info.tasks_seen if row in rows)
+    return replace(source.stats_info, slice="", tasks_seen=seen)
+
+
+def refuse_to_replace(source: Dataset, target: Path) -> None:
+    """A cut-out may replace an older cut-out and nothing else.
+
+    Raises: DataError if something else is at `target`.
+    """
+    if not target.exists():
+        return
+    try:
+        if not target.samefile(source.path) and open_dataset(target).parent:
+            return
+        found = "a file that was collected"
+    except FormatError as error:
+        found = error.what
+    raise DataError(
+        "a cut-out would replace another file",
+        where=str(target),
+        expected="nothing, or an older cut-out",
+        found=found,
+        hint="choose another name with -o, or delete that file first",
+    )
