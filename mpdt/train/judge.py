@@ -1,0 +1,178 @@
+"""After training: adapt to the test tasks, run everybody in the simulator, fill the table.
+
+training tasks   zero, random, best constant, expert | MPDT with each task's own P*_k
+test tasks       zero, random, best constant, expert | MPDT per adaptation start,
+                                                       and P_c o mean P_k without adaptation
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mpdt.model.prompts import AdaptedPrompts, Start
+from mpdt.model.returns import ReturnTable
+from mpdt.train.adapt import NOT_ADAPTED, AdaptationSet, adapt, unseen_returns
+from mpdt.train.controller import PromptController
+from mpdt.train.evaluate import (
+    ConstantController,
+    Controller,
+    Evaluation,
+    constant_actions,
+    evaluate,
+)
+from mpdt.train.results import Block, Score, normalised, reference_scores, scores_of
+from mpdt.train.run import Trained, Trainer, phase_seed
+from mpdt.train.statistics import LayerStatistics, source_statistics
+
+METHOD = "MPDT"
+
+
+@dataclass
+class Judge:
+    """The phases after training, on the trainer's data, settings and progress."""
+
+    trainer: Trainer
+    trained: Trained
+
+    def scores(self) -> list[Score]:
+        """All rows of the final table. Raises: Stopped after a signal."""
+        material, config = self.trainer.material, self.trainer.config
+        constant = self._best_constant() if config.evaluation.constants else None
+        own = self._controller(self.trained.prompts.task_prompts(), self.trained.returns)
+        scores = self._references("train", material.train_rows, constant)
+        scores += self._score("train", METHOD, material.train_rows, own)
+        if not material.test_rows:
+            return scores
+        scores += self._references("test", material.test_rows, constant)
+        for start, prompts, returns in self._adapted():
+            label = f"{METHOD} P_c o mean P_k, not adapted"
+            if start != NOT_ADAPTED:
+                label = f"{METHOD} from {start}, adapted"
+            controller = self._controller(prompts, returns)
+            scores += self._score("test", label, material.test_rows, controller)
+        return scores
+
+    def _adapted(self) -> list[tuple[Start, Tensor, ReturnTable]]:
+        """(start, prompts (n, l, s), targets) for every start asked for, then unadapted."""
+        trainer, trained = self.trainer, self.trained
+        settings, family = trainer.config.adapt, trainer.material.family
+        rows = trainer.material.test_rows
+        done: list[tuple[Start, Tensor, ReturnTable]] = []
+        plain = AdaptedPrompts(trained.prompts, NOT_ADAPTED, len(rows))
+        returns = unseen_returns(trained.returns, settings, [family.return_target] * len(rows))
+        if settings.needs_set:
+            seed = phase_seed(trainer.config.seed, "adapt")
+            unseen = AdaptationSet(
+                trainer.material.dataset, rows, settings, trainer.config.sampler.window, seed,
+                family.action_low, family.action_high,
+            )  # fmt: skip
+            returns = unseen_returns(trained.returns, settings, unseen.presets)
+            source = self._statistics()
+            for start in dict.fromkeys(settings.starts):
+                if start == NOT_ADAPTED:
+                    continue
+
+                def on_step(step: int, losses: list[float], start: Start = start) -> None:
+                    trainer.stop.check()
+                    trainer.folder.log.append(
+                        {"phase": "adapt", "start": start, "step": step, "losses": losses}
+                    )
+                    trainer.progress.update(
+                        f"adapt {start}", step + 1, settings.steps,
+                        f"alignment {sum(losses) / len(losses):.4f}",
+                    )  # fmt: skip
+
+                prompts = adapt(
+                    trained.policy, trained.prompts, start, unseen, returns, source, settings,
+                    trainer.config.statistics.axes, seed, on_step,
+                )  # fmt: skip
+                done.append((start, prompts, returns))
+        return [*done, (NOT_ADAPTED, plain.task_prompts().detach(), returns)]
+
+    def _statistics(self) -> LayerStatistics:
+        settings = self.trainer.config.statistics
+        ids = self.trainer.material.random_ids() if settings.source == "random" else None
+        return source_statistics(
+            self.trained.policy, self.trained.prompts, self.trainer.sampler("statistics", ids),
+            self.trained.returns, settings,
+        )  # fmt: skip
+
+    def _controller(self, prompts: Tensor, returns: ReturnTable) -> PromptController:
+        family = self.trainer.material.family
+        return PromptController(
+            self.trained.policy, prompts, returns, self.trainer.config.sampler.window,
+            family.action_low, family.action_high,
+        )  # fmt: skip
+
+    def _evaluate(
+        self, label: str, rows: Sequence[int], controller: Controller, episodes: int, seed: int
+    ) -> Evaluation:
+        material, settings = self.trainer.material, self.trainer.config.evaluation
+
+        def on_progress(done: int, total: int) -> None:
+            self.trainer.stop.check()
+            self.trainer.progress.update(label, done, total)
+
+        with torch.no_grad():
+            return evaluate(
+                controller, material.family, material.tasks(rows), material.options,
+                settings.horizon or material.horizon, episodes, seed, settings.max_rows,
+                on_progress,
+            )  # fmt: skip
+
+    def _score(
+        self, block: Block, method: str, rows: Sequence[int], controller: Controller
+    ) -> list[Score]:
+        settings = self.trainer.config.evaluation
+        result = self._evaluate(
+            f"judge {block}", rows, controller, settings.episodes, settings.seed
+        )
+        random, expert = self._reference("random", rows), self._reference("expert", rows)
+        return scores_of(
+            block, method, result.tasks, result.returns, result.successes, random, expert
+        )
+
+    def _reference(self, name: str, rows: Sequence[int]) -> NDArray[np.float64]:
+        column: NDArray[np.float64] = getattr(self.trainer.material.dataset.tasks, f"ref_{name}")
+        return column[list(rows)]
+
+    def _references(
+        self, block: Block, rows: Sequence[int], constant: NDArray[np.float32] | None
+    ) -> list[Score]:
+        names = [task.name for task in self.trainer.material.tasks(rows)]
+        random, expert = self._reference("random", rows), self._reference("expert", rows)
+        scores = []
+        for label, reference in (("zero action", "zero"), ("random", "random")):
+            means = self._reference(reference, rows)
+            scores += reference_scores(block, label, names, means, random, expert)
+        label = "best constant"
+        if constant is None:
+            nothing = np.full(len(names), math.nan)
+            scores += reference_scores(block, label, names, nothing, random, expert)
+        else:
+            scores += self._score(block, label, rows, ConstantController(constant))
+        return scores + reference_scores(block, "expert", names, expert, random, expert)
+
+    def _best_constant(self) -> NDArray[np.float32]:
+        """The constant action that does best on the *training* tasks, by normalised return.
+
+        One episode per task and candidate, on seeds apart from those of the table.
+        """
+        rows, seed = self.trainer.material.train_rows, self.trainer.config.evaluation.seed + 1
+        random, expert = self._reference("random", rows), self._reference("expert", rows)
+        levels = []
+        candidates = constant_actions(self.trainer.material.family.action_size)
+        for action in candidates:
+            result = self._evaluate("constants", rows, ConstantController(action), 1, seed)
+            means = result.returns.mean(axis=1)
+            scores = zip(means, random, expert, strict=True)
+            levels.append(np.mean([normalised(*map(float, row)) for row in scores]))
+        best: NDArray[np.float32] = candidates[int(np.argmax(levels))]
+        return best

@@ -1,0 +1,165 @@
+"""What of a data file is trained on: tasks, episodes, returns, simulator options.
+
+FILE[:slice] --quality-->  episodes of the training tasks (role train or both)
+                           their range of returns-to-go and the return asked for
+                           the test tasks (role test or both): names only
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from mpdt.data.episode import QUALITY_CODES
+from mpdt.data.spec.tasks import Family, Task, get_family
+from mpdt.data.store.reader import Dataset, open_dataset, parse_ref
+from mpdt.errors import DataError, unknown_name
+from mpdt.model.returns import ReturnTable
+
+Ids = NDArray[np.int64]
+AUTO, ALL = "auto", "all"
+
+
+@dataclass(frozen=True)
+class Material:
+    """An open file and the part of it that training may see.
+
+    Attributes:
+        quality: what was chosen, never `auto`.
+        train_rows, test_rows: rows of /tasks; the order of the prompts.
+        episode_ids: per training row, absolute ids.
+        options, horizon: how the simulator of the data was set.
+    """
+
+    dataset: Dataset
+    slice: str | None
+    quality: str
+    family: Family
+    train_rows: tuple[int, ...]
+    test_rows: tuple[int, ...]
+    episode_ids: Mapping[int, Ids]
+
+    @property
+    def options(self) -> Mapping[str, float | bool]:
+        options: Mapping[str, float | bool] = self.dataset.spec.get("env", {})
+        return options
+
+    @property
+    def horizon(self) -> int:
+        return int(self.dataset.spec.get("horizon", self.family.horizon))
+
+    def tasks(self, rows: Sequence[int]) -> list[Task]:
+        """The family's tasks behind rows of the file."""
+        return [self.family.task(self.dataset.tasks.names[row]) for row in rows]
+
+    def random_ids(self) -> dict[int, Ids]:
+        """Random-quality episodes of the training tasks, wherever the slice ends.
+
+        Raises: DataError if the file holds none.
+        """
+        ids = {row: self.dataset.select(task=row, quality="random") for row in self.train_rows}
+        if not all(len(of_task) for of_task in ids.values()):
+            raise DataError(
+                "no random episodes of the training tasks",
+                where=str(self.dataset.path),
+                hint="use the family's whole file, or --statistics.source training",
+            )
+        return ids
+
+
+def load_material(ref: str, quality: str) -> Material:
+    """Open `FILE` or `FILE:slice` and choose the episodes to train on.
+
+    Args:
+        quality: random, medium, expert, history; `all`; `auto` = expert where there is some,
+            else the only quality present (a cut-out such as ml10-medium.h5).
+    Raises: UsageError for unknown names; DataError if a training task has no such episode or
+        the file has no statistics; whatever `open_dataset` raises.
+    """
+    known = [*QUALITY_CODES, ALL, AUTO]
+    if quality not in known:
+        raise unknown_name("quality", quality, known, where="--quality")
+    path, slice_name = parse_ref(ref)
+    dataset = open_dataset(path)
+    if slice_name is not None and slice_name not in dataset.slices:
+        raise unknown_name("slice", slice_name, dataset.slices, where=str(path))
+    train_rows = tuple(dataset.tasks.train_rows)
+    if not train_rows:
+        raise DataError("no training task in this file", where=str(path),
+                        expected="a task of role train or both",
+                        hint="cut-outs of test tasks cannot be trained on")  # fmt: skip
+    if "observations" not in dataset.stats:
+        raise DataError("no statistics of the training tasks", where=str(path),
+                        hint=f"collect it again: mpdt-data collect {dataset.name}")  # fmt: skip
+    chosen = _choose_quality(dataset, slice_name, train_rows, quality)
+    ids = {
+        row: dataset.select(task=row, quality=None if chosen == ALL else chosen, slice=slice_name)
+        for row in train_rows
+    }
+    for row, of_task in ids.items():
+        if not len(of_task):
+            present = ", ".join(_qualities(dataset, slice_name, row)) or "nothing"
+            raise DataError(
+                f"no {chosen} episodes of training task {dataset.tasks.names[row]}",
+                where=ref, found=present,
+                hint="choose another --quality, or another slice",
+            )  # fmt: skip
+    return Material(
+        dataset=dataset, slice=slice_name, quality=chosen, family=get_family(dataset.family),
+        train_rows=train_rows, test_rows=tuple(dataset.tasks.test_rows), episode_ids=ids,
+    )  # fmt: skip
+
+
+def return_table(
+    material: Material, kind: Literal["none", "family", "task"], quantile: float
+) -> ReturnTable:
+    """Range, scale and target of each training task, from the episodes trained on.
+
+    low, high: over the returns-to-go of all steps. scale: the largest magnitude of them
+    (`task`) or the family's published one. target: the `quantile` of the *episode returns*
+    (`task`) or the family's. The largest return-to-go would not do as a target: where rewards
+    are negative it is the 0 of an episode's last step, which no first step ever shows.
+    """
+    rewards, episodes = material.dataset.steps.rewards, material.dataset.episodes
+    low, high, target = [], [], []
+    for row in material.train_rows:
+        to_go = []
+        for i in material.episode_ids[row]:
+            first = int(episodes.start[i])
+            own = np.asarray(rewards[first : first + int(episodes.length[i])], np.float64)
+            to_go.append(np.cumsum(own[::-1])[::-1])
+        low.append(min(float(values.min()) for values in to_go))
+        high.append(max(float(values.max()) for values in to_go))
+        target.append(float(np.quantile([values[0] for values in to_go], quantile)))
+    size = [max(abs(a), abs(b)) or 1.0 for a, b in zip(low, high, strict=True)]
+    if kind == "family":
+        size = [material.family.return_scale] * len(size)
+        target = [material.family.return_target] * len(target)
+    return ReturnTable(*(torch.tensor(x, dtype=torch.float32) for x in (size, low, high, target)))
+
+
+def _qualities(dataset: Dataset, slice_name: str | None, rows: int | Sequence[int]) -> list[str]:
+    """Names of the qualities present for these task rows, in the order of their codes."""
+    codes = set(dataset.episodes.quality[dataset.select(task=rows, slice=slice_name)].tolist())
+    return [name for name, code in QUALITY_CODES.items() if code in codes]
+
+
+def _choose_quality(
+    dataset: Dataset, slice_name: str | None, rows: Sequence[int], quality: str
+) -> str:
+    if quality != AUTO:
+        return quality
+    present = _qualities(dataset, slice_name, list(rows))
+    if "expert" in present:
+        return "expert"
+    if not present:
+        return ALL  # imported files of unknown quality
+    if len(present) > 1:
+        raise DataError("several qualities and no expert among them", where=str(dataset.path),
+                        found=", ".join(present), hint="choose one with --quality")  # fmt: skip
+    return present[0]

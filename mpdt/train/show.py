@@ -1,0 +1,87 @@
+"""What the command line prints: results of a run, settings of a preset."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from mpdt.errors import FormatError, MissingFileError
+from mpdt.train.config import TrainConfig, to_plain
+from mpdt.train.report import build_tables, rich_tables
+from mpdt.train.results import Score
+
+WIDTH_WITHOUT_TERMINAL = 160  # columns; tables in a log file are not folded at 80
+
+
+def read_results(folder: Path) -> dict[str, Any]:
+    """results.json of a run's folder.
+
+    Raises: MissingFileError, FormatError.
+    """
+    path = folder / "results.json"
+    if not path.exists():
+        raise MissingFileError(
+            "no results here",
+            where=str(path),
+            hint="a run writes them at its end; the same command continues it",
+        )
+    try:
+        results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        scores_in(results)
+    except (ValueError, KeyError, TypeError) as error:
+        raise FormatError("not the results of a run", where=str(path), found=str(error)) from error
+    return results
+
+
+def scores_in(results: Mapping[str, Any]) -> list[Score]:
+    """The scores of results.json; null is nan again."""
+    rows = [
+        {
+            key: float("nan") if value is None and key != "success" else value
+            for key, value in row.items()
+        }
+        for row in results["scores"]
+    ]
+    return msgspec.convert(rows, list[Score])
+
+
+def print_results(results: Mapping[str, Any], as_json: bool) -> None:
+    """Tables on stdout, or the JSON."""
+    if as_json:
+        sys.stdout.write(json.dumps(results, indent=1) + "\n")
+        return
+    from rich.console import Console
+
+    console = Console(
+        file=sys.stdout, width=None if sys.stdout.isatty() else WIDTH_WITHOUT_TERMINAL
+    )
+    for table in rich_tables(build_tables(scores_in(results))):
+        console.print(table)
+
+
+def settings_text(config: TrainConfig, as_json: bool) -> str:
+    """One option per line with its value, or the whole as JSON."""
+    plain = to_plain(config)
+    if as_json:
+        return json.dumps(plain, indent=1) + "\n"
+    options = [f"--{key.replace('_', '-')} {_word(value)}" for key, value in _leaves(plain)]
+    return "\n".join(options) + "\n"
+
+
+def _leaves(plain: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in plain.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return " ".join(str(item) for item in value)
+    return str(value)
