@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import re
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import msgspec
@@ -122,17 +123,26 @@ Problem = tuple[str, str, str]
 """One mistake: key path inside the entry, what is wrong, hint."""
 
 
-def raise_problems(problems: list[Problem], where: str) -> None:
+class SpecMistakesError(SpecError):
+    """One or more mistakes, also as a list for whoever adds the file and the entry's name."""
+
+    problems: tuple[Problem, ...] = ()
+
+
+def raise_problems(problems: Sequence[Problem], where: str, separator: str = ".") -> None:
     """SpecError over all `problems`, or nothing if there are none."""
     if not problems:
         return
-    places = [".".join(part for part in (where, key) if part) for key, _, _ in problems]
+    places = [f"{where}{separator}{key}" if key else where for key, _, _ in problems]
     if len(problems) == 1:
-        raise SpecError(problems[0][1], where=places[0], hint=problems[0][2])
-    lines = [f"{len(problems)} mistakes"]
-    for place, (_, what, hint) in zip(places, problems, strict=True):
-        lines.append(f"  {place}: {what}" + (f"  ({hint})" if hint else ""))
-    raise SpecError("\n".join(lines))
+        error = SpecMistakesError(problems[0][1], where=places[0], hint=problems[0][2])
+    else:
+        lines = [f"{len(problems)} mistakes"]
+        for place, (_, what, hint) in zip(places, problems, strict=True):
+            lines.append(f"  {place}: {what}" + (f"  [{hint}]" if hint else ""))
+        error = SpecMistakesError("\n".join(lines))
+    error.problems = tuple(problems)
+    raise error
 
 
 def find_problems(spec: DatasetSpec) -> list[Problem]:

@@ -1,0 +1,124 @@
+"""Catalog: the entries of a datasets.yaml, read strictly, all mistakes at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mpdt
+from mpdt.data.spec.entry import (
+    Behaviour,
+    DatasetSpec,
+    EpisodeCounts,
+    Problem,
+    SpecMistakesError,
+    raise_problems,
+)
+from mpdt.data.spec.strict import collect
+from mpdt.data.spec.yamltext import load_yaml
+from mpdt.errors import MissingFileError, SpecError, StorageError, nearest, unknown_name
+
+__all__ = ["Catalog", "load_catalog"]
+
+FILE_NAME = "datasets.yaml"
+SCHEMA = 1
+_TOP_KEYS = ("schema", "datasets")
+
+
+@dataclass(frozen=True)
+class Catalog:
+    """Entries by name, in the order of the file."""
+
+    path: Path
+    specs: dict[str, DatasetSpec]
+
+    def get(self, name: str) -> DatasetSpec:
+        """Raises: UsageError naming the nearest entry."""
+        if name not in self.specs:
+            raise unknown_name("dataset", name, self.specs, where=str(self.path))
+        return self.specs[name]
+
+
+def load_catalog(path: Path | None = None) -> Catalog:
+    """Read a datasets.yaml.
+
+    Args:
+        path: None = the one in the working folder if there is one, else the shipped one.
+    Raises: MissingFileError; SpecError listing every mistake with its full key.
+    """
+    chosen = _default_path() if path is None else Path(path)
+    try:
+        text = chosen.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise MissingFileError("no such file", where=str(chosen),
+                               hint=f"name an existing {FILE_NAME}, or leave the option out for "
+                                    "the shipped one") from error  # fmt: skip
+    except UnicodeDecodeError as error:
+        raise SpecError("not UTF-8 text", where=str(chosen), found=str(error)) from error
+    except OSError as error:
+        raise StorageError("cannot be read", where=str(chosen), found=str(error)) from error
+    return Catalog(chosen, parse_catalog(text, str(chosen)))
+
+
+def _default_path() -> Path:
+    # Wheels carry the file inside the package; an editable install has it beside the package.
+    package = Path(mpdt.__file__).parent
+    for candidate in (Path(FILE_NAME), package / FILE_NAME):
+        if candidate.is_file():
+            return candidate
+    return package.parent / FILE_NAME
+
+
+def parse_catalog(text: str, where: str) -> dict[str, DatasetSpec]:
+    """The entries of YAML text.
+
+    Raises: SpecError listing every mistake with its full key.
+    """
+    document = load_yaml(text, where)
+    if not isinstance(document, dict):
+        raise SpecError("expected the keys schema and datasets", where=where)
+    problems: list[Problem] = []
+    for key in document:
+        if key not in _TOP_KEYS:
+            what = f"unknown key '{key}' {nearest(str(key), _TOP_KEYS)}".rstrip()
+            problems.append(("", what, f"allowed: {', '.join(_TOP_KEYS)}"))
+    if document.get("schema") != SCHEMA or isinstance(document.get("schema"), bool):
+        found = document.get("schema")
+        problems.append(("schema", f"expected {SCHEMA}, found {found!r}",
+                         "another schema needs another release of mpdt"))  # fmt: skip
+    entries = document.get("datasets")
+    if not isinstance(entries, dict):
+        problems.append(("datasets", "expected a block of entries", ""))
+        entries = {}
+    specs: dict[str, DatasetSpec] = {}
+    for name, entry in entries.items():
+        spec = _entry(str(name), entry, problems)
+        if spec is not None:
+            specs[spec.name] = spec
+    raise_problems(problems, where, separator=": ")
+    return specs
+
+
+def _entry(name: str, entry: object, problems: list[Problem]) -> DatasetSpec | None:
+    found: list[Problem] = []
+    spec: DatasetSpec | None = None
+    if isinstance(entry, dict) and "name" in entry:
+        found.append(("", "unknown key 'name'", "the entry's own key is its name"))
+    named = {**entry, "name": name} if isinstance(entry, dict) else entry
+    fields = collect(DatasetSpec, named, "", found)
+    if "family" not in fields:  # tasks and options cannot be judged without it
+        fields = {key: value for key, value in fields.items() if key not in ("tasks", "env")}
+    try:
+        # With stand-ins for what is wrong or missing, so that the rest is still looked at.
+        spec = DatasetSpec(**((_STAND_INS if found else {}) | fields))
+    except SpecMistakesError as error:
+        found += error.problems
+    problems += [(f"{name}.{key}" if key else name, what, hint) for key, what, hint in found]
+    return spec
+
+
+_STAND_INS: dict[str, Any] = {
+    "name": "x", "version": "0.0.0", "family": "cheetah_dir", "horizon": 1, "seed": 0, "block": 1,
+    "behaviour": Behaviour(network="x"), "episodes": EpisodeCounts(), "license": "x",
+}  # fmt: skip

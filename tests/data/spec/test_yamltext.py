@@ -1,0 +1,42 @@
+import pytest
+import yaml
+
+from mpdt.data.spec.yamltext import load_yaml
+from mpdt.errors import SpecError
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1e5", 1e5), ("1e-4", 1e-4), ("-.5", -0.5), ("1.", 1.0), ("7", 7), ("-7", -7),
+        ("0", 0), ("true", True), ("False", False), ("~", None), ("null", None), ("", None),
+        (".inf", float("inf")),
+        # YAML 1.1 would read booleans, 750, 493, a date.
+        ("on", "on"), ("no", "no"), ("Yes", "Yes"), ("12:30", "12:30"), ("0755", "0755"),
+        ("2024-09-01", "2024-09-01"), ("'1'", "1"), ('"1.0.0"', "1.0.0"), ("1.0.0", "1.0.0"),
+    ],
+)  # fmt: skip
+def test_scalars(text, value):
+    found = load_yaml(f"a: {text}", "x.yaml")["a"]
+    assert found == value
+    assert type(found) is type(value)
+
+
+def test_repeated_keys_are_all_named_with_their_lines():
+    with pytest.raises(SpecError) as caught:
+        load_yaml("a: 1\nb: {c: 1, d: 2, c: 3}\na: 2\n", "x.yaml")
+    assert str(caught.value) == "x.yaml: repeated key; found 'a' in line 3, 'c' in line 2"
+
+
+def test_broken_yaml_names_the_line():
+    with pytest.raises(SpecError, match="x.yaml, line 3: not valid YAML"):
+        load_yaml("a: 1\nb: [1, 2\nc: }", "x.yaml")
+
+
+def test_python_tags_do_not_run():
+    with pytest.raises(SpecError, match="not valid YAML"):
+        load_yaml("a: !!python/object/apply:os.getcwd []", "x.yaml")
+
+
+def test_other_users_of_yaml_keep_their_rules():
+    assert yaml.safe_load("on") is True
