@@ -36,7 +36,7 @@ class BackboneSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     dtype: Literal["auto", "float32", "bfloat16"] = "auto"
     """auto: bfloat16 where the processor multiplies it natively and the weights are frozen."""
     seed: int = 0
-    """Seed of the weights of a random backbone."""
+    """Seed of the weights of a random backbone, together with its depth."""
     frozen: bool = True
     """False trains every weight (baselines that train the whole model from scratch)."""
 

@@ -255,6 +255,7 @@ def _read_cache(path: Path) -> Any | None:
 
 
 def _write_cache(path: Path, model: Any, dtype: torch.dtype) -> None:
+    from safetensors import SafetensorError
     from safetensors.torch import save_file
 
     tensors = {key: value.detach().to(dtype) for key, value in model.named_parameters()}
@@ -266,8 +267,9 @@ def _write_cache(path: Path, model: Any, dtype: torch.dtype) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         save_file(tensors, partial, metadata=header)
         partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
+    except (OSError, SafetensorError) as error:
+        with contextlib.suppress(OSError):
+            partial.unlink()
         _log.info("weights are not cached: %s", error)
 
 

