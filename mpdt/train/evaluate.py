@@ -18,8 +18,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mpdt.data.sim.batch import make_batch
-from mpdt.errors import UsageError
+from mpdt.data.sim.batch import BatchEnv, make_batch
+from mpdt.errors import TrainingError, UsageError
 from mpdt.seeding import Quality, SeedKey
 
 if TYPE_CHECKING:
@@ -51,6 +51,9 @@ class EvaluationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
                 )
 
 
+Make = Callable[["Family", Sequence["Task"], Mapping[str, float | bool]], BatchEnv]
+
+
 class Controller(Protocol):
     """Chooses the actions of B rows at once."""
 
@@ -75,6 +78,24 @@ class Evaluation:
     returns: NDArray[np.float64]  # (n, E) sum of rewards, the task's own unit
     lengths: NDArray[np.int64]  # (n, E) steps
     successes: NDArray[np.bool_] | None  # (n, E) any step successful; None where undefined
+
+
+class SimulatorCache:
+    """Keeps the last batch of simulators: building Meta-World ones takes longer than a reset."""
+
+    def __init__(self) -> None:
+        self._key: tuple[object, ...] = ()
+        self._env: BatchEnv | None = None
+
+    def make(
+        self, family: Family, tasks: Sequence[Task], options: Mapping[str, float | bool]
+    ) -> BatchEnv:
+        """As `make_batch`; a reset is a function of (tasks, keys, goals), so reuse is invisible."""
+        key = (family.name, *tasks, *sorted(options.items()))
+        if self._env is None or key != self._key:
+            self._env = None  # let the old ones go before the new ones are built
+            self._key, self._env = key, make_batch(family, tasks, options)
+        return self._env
 
 
 class ConstantController:
@@ -103,6 +124,7 @@ def evaluate(
     seed: int,
     max_rows: int = 128,
     on_progress: Callable[[int, int], None] | None = None,
+    make: Make = make_batch,
 ) -> Evaluation:
     """Run `episodes` episodes of every task and add up the rewards.
 
@@ -112,6 +134,8 @@ def evaluate(
         seed: root seed; episode e of a task has the key (family, task, EVALUATION, 0, e),
             so more episodes or other tasks change no existing one.
         on_progress: called with (steps done, steps in all) once per simulated step.
+        make: builds the simulators; hand in `SimulatorCache().make` to build them once.
+    Raises: TrainingError if the controller's actions are not finite numbers.
     """
     n, E = len(tasks), episodes
     returns = np.zeros((n, E))
@@ -121,7 +145,7 @@ def evaluate(
     chunks = [rows[i : i + max_rows] for i in range(0, len(rows), max_rows)]
     has_success = family.has_success
     for number, chunk in enumerate(chunks):
-        env = make_batch(family, [tasks[task] for task, _ in chunk], options)
+        env = make(family, [tasks[task] for task, _ in chunk], options)
         keys = [
             SeedKey(seed, family.id, tasks[task].index, Quality.EVALUATION, 0, e)
             for task, e in chunk
@@ -134,6 +158,10 @@ def evaluate(
             shown = observations.astype(np.float32)
             shown[:, list(family.hidden_columns)] = 0
             actions = np.clip(controller.act(shown), env.low, env.high).astype(np.float32)
+            if not np.isfinite(actions).all():
+                raise TrainingError("the policy's action is not a number", where=family.name,
+                                    found=f"step {step}, row {chunk[_first_bad(actions)]}",
+                                    hint="the run diverged: lower --optimiser.lr")  # fmt: skip
             result = env.step(actions)
             # As the data counts it: float32 rewards, summed in float64.
             rewards = result.rewards.astype(np.float32)
@@ -150,6 +178,10 @@ def evaluate(
                 break
     names = tuple(task.name for task in tasks)
     return Evaluation(names, returns, lengths, successes if has_success else None)
+
+
+def _first_bad(actions: NDArray[np.float32]) -> int:
+    return int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
 
 
 def constant_actions(action_size: int) -> NDArray[np.float32]:

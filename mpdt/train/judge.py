@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -24,6 +24,7 @@ from mpdt.train.evaluate import (
     ConstantController,
     Controller,
     Evaluation,
+    SimulatorCache,
     constant_actions,
     evaluate,
 )
@@ -40,6 +41,7 @@ class Judge:
 
     trainer: Trainer
     trained: Trained
+    simulators: SimulatorCache = field(default_factory=SimulatorCache)
 
     def scores(self) -> list[Score]:
         """All rows of the final table. Raises: Stopped after a signal."""
@@ -118,13 +120,14 @@ class Judge:
 
         def on_progress(done: int, total: int) -> None:
             self.trainer.stop.check()
-            self.trainer.progress.update(label, done, total)
+            if label:
+                self.trainer.progress.update(label, done, total)
 
         with torch.no_grad():
             return evaluate(
                 controller, material.family, material.tasks(rows), material.options,
                 settings.horizon or material.horizon, episodes, seed, settings.max_rows,
-                on_progress,
+                on_progress, self.simulators.make,
             )  # fmt: skip
 
     def _score(
@@ -140,7 +143,11 @@ class Judge:
         )
 
     def _reference(self, name: str, rows: Sequence[int]) -> NDArray[np.float64]:
+        """Mean returns (n,) stored in the file; nan where the horizon judged here is another."""
         column: NDArray[np.float64] = getattr(self.trainer.material.dataset.tasks, f"ref_{name}")
+        horizon = self.trainer.config.evaluation.horizon
+        if horizon not in (0, self.trainer.material.horizon):
+            return np.full(len(rows), math.nan)
         return column[list(rows)]
 
     def _references(
@@ -169,10 +176,14 @@ class Judge:
         random, expert = self._reference("random", rows), self._reference("expert", rows)
         levels = []
         candidates = constant_actions(self.trainer.material.family.action_size)
-        for action in candidates:
-            result = self._evaluate("constants", rows, ConstantController(action), 1, seed)
+        for i, action in enumerate(candidates):
+            self.trainer.progress.update("constants", i, len(candidates))
+            result = self._evaluate("", rows, ConstantController(action), 1, seed)
             means = result.returns.mean(axis=1)
             scores = zip(means, random, expert, strict=True)
-            levels.append(np.mean([normalised(*map(float, row)) for row in scores]))
+            level = np.mean([normalised(*map(float, row)) for row in scores])
+            # Without references of this horizon the plain mean has to do.
+            levels.append(level if math.isfinite(level) else means.mean())
+        self.trainer.progress.update("constants", len(candidates), len(candidates))
         best: NDArray[np.float32] = candidates[int(np.argmax(levels))]
         return best

@@ -47,6 +47,7 @@ def build_tables(scores: Sequence[Score]) -> list[Table]:
         )
         has_success = any(score.success is not None for score in chosen)
         note = ": return [95 % interval over seeds]" + (" success" if has_success else "")
+        note += " (normalised)"
         tables.append(Table(title + note, ("task", *methods), rows))
         means = tuple(_mean_row(method, at.get((MEAN, method)), has_success) for method in methods)
         columns = ["method", "mean return", "95 % interval", "normalised"]
@@ -75,8 +76,9 @@ def rich_tables(tables: Sequence[Table]) -> list[RichTable]:
         rich = RichTable(title=table.title, title_justify="left")
         for i, column in enumerate(table.columns):
             rich.add_column(column, justify="right" if i else "left", no_wrap=not i)
-        for row in table.rows:
-            rich.add_row(*row, end_section=row is table.rows[-2] if len(table.rows) > 1 else False)
+        for i, row in enumerate(table.rows):
+            follower = table.rows[i + 1][0] if i + 1 < len(table.rows) else ""
+            rich.add_row(*row, end_section=follower == MEAN)
         drawn.append(rich)
     return drawn
 
@@ -102,6 +104,8 @@ def _cell(score: Score | None) -> str:
         parts.append(_interval(score))
     if score.success is not None:
         parts.append(f"{score.success:.0%}")
+    if score.low == score.low and score.normalised == score.normalised:
+        parts.append(f"({score.normalised:.2f})")
     return " ".join(parts)
 
 
@@ -110,5 +114,7 @@ def _mean_row(method: str, score: Score | None, has_success: bool) -> tuple[str,
         cells = [NOT_MEASURED, "-", "-", "-"]
     else:
         success = "-" if score.success is None else f"{score.success:.0%}"
-        cells = [_number(score.mean), _interval(score), f"{score.normalised:.2f}", success]
+        known = score.normalised == score.normalised
+        level = f"{score.normalised:.2f}" if known else "-"
+        cells = [_number(score.mean), _interval(score), level, success]
     return (method, *cells[: 4 if has_success else 3])

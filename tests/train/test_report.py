@@ -22,7 +22,7 @@ SCORES = [
 def test_tables_by_hand():
     tasks, means = build_tables(SCORES)
     assert tasks.columns == ("task", "zero action", "MPDT")
-    assert tasks.rows[0] == ("run", "0.0", "1234 [1200, 1300] 80%")
+    assert tasks.rows[0] == ("run", "0.0", "1234 [1200, 1300] 80% (0.50)")
     assert means.columns == ("method", "mean return", "95 % interval", "normalised", "success")
     assert means.rows == (
         ("zero action", "0.0", "-", "0.50", "-"),
@@ -50,5 +50,5 @@ def test_markdown_and_terminal_hold_the_same_cells():
     tables = build_tables(SCORES)
     text = render_markdown({"name": "demo", "data": "x.h5"}, tables)
     assert text.startswith("# demo\n\n- data: x.h5\n")
-    assert "| run | 0.0 | 1234 [1200, 1300] 80% |" in text
+    assert "| run | 0.0 | 1234 [1200, 1300] 80% (0.50) |" in text
     assert [len(table.columns) for table in rich_tables(tables)] == [3, 5]
