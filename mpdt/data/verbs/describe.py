@@ -1,0 +1,144 @@
+"""What a dataset file says about itself, as JSON values and as text tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mpdt.data.episode import QUALITY_CODES
+from mpdt.data.store import layout
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.tables import Int64
+from mpdt.data.verbs.options import number, or_none, text_table
+
+ROLES = {code: role for role, code in layout.ROLE_CODES.items()}
+
+
+def describe(data: Dataset, ids: Int64 | None = None) -> dict[str, Any]:
+    """Header, tasks, slices and TTA sets of a file as JSON values."""
+    ids = np.arange(data.num_episodes) if ids is None else ids
+    return {
+        "path": str(data.path),
+        "family": data.family,
+        "name": data.name,
+        "version": data.version,
+        "content_hash": data.content_hash,
+        "spec_hash": data.spec_hash,
+        "parent": data.parent,
+        "license": data.license,
+        "episodes": len(ids),
+        "steps": int(data.episodes.length[ids].sum()),
+        "bytes": data.path.stat().st_size,
+        "observation_size": data.observation_size,
+        "action_size": data.action_size,
+        "packages": dict(data.packages),
+        "tasks": [_task(data, row, ids) for row in range(len(data.tasks))],
+        "slices": {name: len(found) for name, found in data.slices.items()},
+        "tta": {name: len(tta) for name, tta in data.tta.items()},
+    }
+
+
+def _task(data: Dataset, row: int, ids: Int64) -> dict[str, Any]:
+    mine = ids[data.episodes.task[ids] == row]
+    returns = {}
+    for quality in QUALITY_CODES:
+        of = mine[data.episodes.quality[mine] == QUALITY_CODES[quality]]
+        if len(of):
+            returns[quality] = float(data.episodes.returns[of].mean())
+    tasks = data.tasks
+    has_success = data.steps.successes is not None and len(mine) > 0
+    return {
+        "name": tasks.names[row],
+        "role": ROLES[int(tasks.roles[row])],
+        "episodes": len(mine),
+        "returns": returns,
+        "success": float(data.episodes.success[mine].mean()) if has_success else None,
+        "ref_zero": or_none(float(tasks.ref_zero[row])),
+        "ref_random": or_none(float(tasks.ref_random[row])),
+        "ref_expert": or_none(float(tasks.ref_expert[row])),
+    }
+
+
+def level_table(
+    data: Dataset, ids: Int64 | None = None, names: tuple[str, ...] | None = None
+) -> str:
+    """Mean return of each task: reference of zero action, then per quality; level of medium."""
+    tasks = describe(data, ids)["tasks"]
+    heading = ("task", "role", "episodes", "zero", *QUALITY_CODES, "level", "success")
+    rows = []
+    for task in tasks:
+        if names is not None and task["name"] not in names:
+            continue
+        returns: Mapping[str, float] = task["returns"]
+        found = [returns.get(quality, float("nan")) for quality in QUALITY_CODES]
+        low, high = task["ref_random"], task["ref_expert"]
+        level = float("nan")
+        if low is not None and high is not None and high > low:
+            level = (found[1] - low) / (high - low)
+        success = "-" if task["success"] is None else f"{task['success']:.2f}"
+        zero = float("nan") if task["ref_zero"] is None else task["ref_zero"]
+        rows.append(
+            [task["name"], task["role"], f"{task['episodes']:,}", number(zero),
+             *map(number, found), number(level, 2), success]
+        )  # fmt: skip
+    return text_table([heading, *rows], numbers_from=2)
+
+
+def header_lines(found: Mapping[str, Any]) -> list[str]:
+    """The header of `describe` as lines."""
+    origin = f"   cut out of {found['parent'][:8]}" if found["parent"] else ""
+    versions = "  ".join(f"{name} {version}" for name, version in found["packages"].items())
+    return [
+        f"{found['path']}   {found['name']} {found['version']}   family {found['family']}   "
+        f"{found['bytes'] / 1e6:.1f} MB   {found['license']}",
+        f"content  {found['content_hash']}{origin}",
+        f"size     {found['episodes']:,} episodes   {found['steps']:,} steps   "
+        f"observation {found['observation_size']}   action {found['action_size']}",
+        f"made by  {versions}",
+    ]
+
+
+def describe_episode(data: Dataset, episode_id: int) -> dict[str, Any]:
+    """One row of the episode table as JSON values."""
+    columns = data.episodes
+    names = {code: name for name, code in QUALITY_CODES.items()}
+    quality = names.get(int(columns.quality[episode_id]), "unknown")
+    return {
+        "id": episode_id,
+        "task": data.tasks.names[int(columns.task[episode_id])],
+        "quality": quality,
+        "length": int(columns.length[episode_id]),
+        "return": float(columns.returns[episode_id]),
+        "success": bool(columns.success[episode_id]),
+        "seed_key": [int(n) for n in columns.seed_key[episode_id]],
+    }
+
+
+def schema() -> tuple[list[dict[str, Any]], str]:
+    """The arrays of the file format, as JSON values and as text."""
+    groups = {f"/{name}": columns for name, columns in layout.GROUPS.items()}
+    for name, columns in layout.TTA_GROUPS.items():
+        groups[f"/tta/<name>/{name}".rstrip("/")] = columns
+    rows = [
+        {
+            "path": f"{group}/{column.path}",
+            "dtype": "bool" if column.dtype == "?" else column.dtype,
+            "shape": list(column.shape),
+            "optional": column.optional,
+        }
+        for group, columns in groups.items()
+        for column in columns
+    ]
+    cells = [
+        [row["path"], row["dtype"], "(" + ", ".join(map(str, row["shape"])) + ")",
+         "optional" if row["optional"] else ""]
+        for row in rows
+    ]  # fmt: skip
+    legend = (
+        "N steps, E episodes, R = N+E observation rows, D / A observation / action size, "
+        "K tasks, M goals, G goal size, P policies"
+    )
+    table = text_table([("dataset", "dtype", "shape", ""), *cells], numbers_from=9)
+    return rows, f"{table}\n{legend}"

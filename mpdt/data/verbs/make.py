@@ -1,0 +1,213 @@
+"""Verbs that make data: plan, collect, pretrain, calibrate. Bodies import lazily."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import Positional, arg
+
+from mpdt.data.verbs.options import Names, Options, split_names
+
+if TYPE_CHECKING:
+    from mpdt.data.plan import Plan
+    from mpdt.data.spec.entry import DatasetSpec
+
+Name = Annotated[Positional[str], arg(metavar="NAME")]
+Output = Annotated[Path | None, arg(aliases=["-o"], metavar="FILE")]
+Workers = Annotated[int | None, arg(metavar="N")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plans(Options):
+    """Show what collecting a dataset would do: blocks, steps, time and size.
+
+    Examples:
+      mpdt-data plan cheetah_dir
+      mpdt-data plan ml10 --tasks reach,push
+      mpdt-data plan ml10 --smoke --json
+    """
+
+    name: Name
+    """Entry of datasets.yaml."""
+    output: Output = None
+    """File it would write; default NAME.h5 here."""
+    tasks: Names = ()
+    """Only these tasks, by name or index."""
+    workers: Workers = None
+    """Processes; default one per core."""
+    smoke: bool = False
+    """A tiny version with the same tasks, as NAME-smoke."""
+    spec: Annotated[Path | None, arg(metavar="YAML")] = None
+    """Another datasets.yaml than ./datasets.yaml or the shipped one."""
+
+    def run(self) -> None:
+        from mpdt.data.plan import make_plan
+
+        plan = make_plan(self.chosen_spec())
+        self.print(self.estimate(plan), self.estimate_text(plan))
+
+    def chosen_spec(self) -> DatasetSpec:
+        """The entry with --tasks and --smoke applied. Raises: SpecError, UsageError."""
+        import msgspec
+
+        from mpdt.data.spec.catalog import load_catalog
+        from mpdt.data.spec.entry import smoke
+        from mpdt.data.spec.tasks import get_family
+
+        spec = load_catalog(self.spec).get(self.name)
+        if self.tasks:
+            family = get_family(spec.family)
+            names = split_names(self.tasks)
+            chosen = {family.task(int(n) if n.isdigit() else n) for n in names}
+            ordered = sorted(chosen, key=lambda task: task.index)
+            spec = msgspec.structs.replace(spec, tasks=tuple(task.name for task in ordered))
+        return smoke(spec) if self.smoke else spec
+
+    def target(self, spec: DatasetSpec) -> Path:
+        return self.output or Path(f"{spec.name}.h5")
+
+    def num_workers(self) -> int:
+        from mpdt.data.sim.engines import default_workers
+
+        return default_workers() if self.workers is None else self.workers
+
+    def estimate(self, plan: Plan) -> dict[str, Any]:
+        return {
+            "name": plan.spec.name,
+            "version": plan.spec.version,
+            "target": str(self.target(plan.spec)),
+            "spec_hash": plan.spec_hash,
+            "tasks": [task.name for task in plan.tasks],
+            "blocks": len(plan.blocks),
+            "episodes": plan.num_episodes,
+            "tta_episodes": plan.num_tta_episodes,
+            "steps": plan.num_steps,
+            "bytes": plan.file_bytes,
+            "workers": self.num_workers(),
+            "seconds": round(plan.seconds(self.num_workers())),
+        }
+
+    def estimate_text(self, plan: Plan) -> str:
+        """One line: what it is, how much, how long. Steps and size are upper bounds."""
+        workers = self.num_workers()
+        spec = plan.spec
+        minutes = plan.seconds(workers) / 60
+        return (
+            f"{spec.name} {spec.version}   {len(plan.tasks)} tasks   {len(plan.blocks)} blocks   "
+            f"{plan.num_episodes:,} episodes + {plan.num_tta_episodes:,} tta   "
+            f"{plan.num_steps:,} steps   about {plan.file_bytes / 1e6:.0f} MB   "
+            f"{max(0.1, minutes):.1f} min   {workers} worker{'s' if workers != 1 else ''} "
+            f"-> {self.target(spec)}"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collect(Plans):
+    """Make a dataset, or go on with an interrupted collection of it.
+
+    Examples:
+      mpdt-data collect cheetah_dir
+      mpdt-data collect ml10 --workers 2 -o data/ml10.h5
+      mpdt-data collect ml10 --smoke --dry-run
+    """
+
+    restart: bool = False
+    """Start again: delete unfinished parts, replace a finished file."""
+    dry_run: bool = False
+    """Stop after the plan."""
+
+    def run(self) -> None:
+        spec = self.chosen_spec()
+        if self.dry_run:
+            super().run()
+            return
+        from mpdt.data.build import collect
+        from mpdt.data.plan import make_plan
+        from mpdt.data.verbs.describe import describe, level_table
+        from mpdt.data.verbs.progress import show_progress
+
+        self.say(self.estimate_text(make_plan(spec)))
+        target = self.target(spec)
+        with show_progress(self.quiet) as tell:
+            done = collect(
+                spec, target, workers=self.workers, restart=self.restart, on_progress=tell
+            )
+        for warning in done.warnings:
+            self.say(f"warning: {warning}")
+        data = done.dataset
+        size = target.stat().st_size / 1e6
+        verb = "packed " if done.is_new else "nothing to do: complete "
+        self.print(
+            describe(data) | {"is_new": done.is_new, "warnings": done.warnings},
+            f"{verb} {target}   {data.num_episodes:,} episodes   {size:.1f} MB   "
+            f"content {data.content_hash[:8]}\n" + level_table(data),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pretrain(Options):
+    """Train the behaviour network of a locomotion family and export its rungs.
+
+    Needs the extra: pip install 'mpdt[behaviour]'. The rungs of cheetah_dir are shipped.
+
+    Examples:
+      mpdt-data pretrain cheetah_dir
+      mpdt-data pretrain cheetah_dir --steps 2000000 -o weights
+      mpdt-data pretrain cheetah_dir --seed 1 --no-resume
+    """
+
+    name: Name
+    """Network to train, named as its family."""
+    seed: int = 0
+    """Seed of initial weights, minibatches and episodes."""
+    steps: Annotated[int | None, arg(metavar="N")] = None
+    """Environment steps; default: the family's own."""
+    resume: bool = True
+    """Go on from the last checkpoint."""
+    output: Annotated[Path | None, arg(aliases=["-o"], metavar="FOLDER")] = None
+    """Folder for weights and record; default: here."""
+
+    def run(self) -> None:
+        from mpdt.data.sim.pretrain import pretrain
+
+        path = pretrain(
+            self.name, seed=self.seed, steps=self.steps, output=self.output,
+            resume=self.resume, on_progress=self.say,
+        )  # fmt: skip
+        self.print({"path": str(path)}, f"wrote  {path}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(Options):
+    """Find the mixing rate that makes each Meta-World script `medium`; a minute per task.
+
+    The rates of the shipped entries are shipped too.
+
+    Examples:
+      mpdt-data calibrate ml10
+      mpdt-data calibrate ml10 -o rates.json
+      mpdt-data calibrate ml10 --seed 2 --quiet
+    """
+
+    name: Name
+    """Entry of datasets.yaml with scripted behaviour."""
+    seed: int = 1
+    """Root seed of the measured episodes."""
+    output: Output = None
+    """File to add the rates to; default: where collect looks for them, here."""
+    spec: Annotated[Path | None, arg(metavar="YAML")] = None
+    """Another datasets.yaml than ./datasets.yaml or the shipped one."""
+
+    def run(self) -> None:
+        from mpdt.data.sim.calibrate import calibrate
+        from mpdt.data.spec.catalog import load_catalog
+
+        path = calibrate(
+            load_catalog(self.spec).get(self.name), self.output, seed=self.seed,
+            on_progress=lambda found: self.say(
+                f"{found.task}  rate {found.rate:.3f}  level {found.level:.2f}"
+            ),
+        )  # fmt: skip
+        self.print({"path": str(path)}, f"wrote  {path}")

@@ -1,0 +1,69 @@
+"""Options every verb has, and where its words go: results to stdout, talk to stderr."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from tyro.conf import arg
+
+Names = Annotated[tuple[str, ...], arg(metavar="NAME[,NAME...]")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    json: bool = False
+    """Print results as one JSON document."""
+    quiet: Annotated[bool, arg(aliases=["-q"])] = False
+    """No progress and no remarks on stderr."""
+    verbose: Annotated[bool, arg(aliases=["-v"])] = False
+    """Show the traceback of an error."""
+    color: Literal["auto", "never"] = "auto"
+    """Colour on terminals only, or never."""
+
+    def run(self) -> None:
+        raise NotImplementedError
+
+    def say(self, line: str) -> None:
+        """A remark for whoever watches."""
+        if not self.quiet:
+            sys.stderr.write(line + "\n")
+            sys.stderr.flush()
+
+    def print(self, result: Any, text: str) -> None:
+        """The result: as JSON if asked for, else as text."""
+        if self.json:
+            text = json.dumps(result, ensure_ascii=False, allow_nan=False, indent=1)
+        sys.stdout.write(text.rstrip("\n") + "\n")
+        sys.stdout.flush()
+
+
+def split_names(names: Sequence[str]) -> tuple[str, ...]:
+    """`a,b c` typed as one or several words, as names."""
+    return tuple(name for word in names for name in word.split(",") if name)
+
+
+def text_table(rows: Sequence[Sequence[str]], numbers_from: int = 1) -> str:
+    """Rows as aligned columns, the first row a heading; right-aligned from `numbers_from` on."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    lines = []
+    for row in rows:
+        cells = [
+            cell.rjust(width) if place >= numbers_from else cell.ljust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def number(value: float, digits: int = 1) -> str:
+    """`-36.1`, or `-` for a value that was never measured."""
+    return "-" if value != value else f"{value:,.{digits}f}"
+
+
+def or_none(value: float) -> float | None:
+    """NaN as JSON's null."""
+    return None if value != value else value
