@@ -47,7 +47,7 @@ def make_env(pairs, addresses, forces):
 def test_both_fingers_must_press_this_geom(pairs, forces, expected):
     env = make_env(pairs, range(len(pairs)), forces)
     assert FingerContacts(env)(PUCK) is expected
-    assert SawyerXYZEnv.touching_object(env, PUCK) is expected
+    assert bool(SawyerXYZEnv.touching_object(env, PUCK)) is expected
 
 
 def test_agrees_with_the_contact_loop_on_random_scenes():
