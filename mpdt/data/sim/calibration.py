@@ -37,8 +37,7 @@ class Calibration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     Args:
         level: normalised return at `rate`, 0 = uniform actions, 1 = the script alone.
         random, medium, expert: measured at rate 1, `rate` and 0.
-        monotone: no coarse level falls by more than two standard errors towards rate 0,
-            and none is more than two above 1.
+        monotone: the curve neither turns nor rises above the script, but for noise.
         curve: every coarse measurement, from rate 0.95 down to 0.05.
         seed: root seed; episodes use family mt50, quality CALIBRATION, block 0, rows 0, 1, ...
         versions: packages the numbers were measured with.

@@ -120,10 +120,12 @@ def point(rate, level, error=0.01):
     return Measurement(rate, 6, 0.0, 0.0, level, error)
 
 
-def test_monotone_allows_noise_but_no_fall_and_no_better_than_the_script():
-    assert module._is_monotone([point(0.9, 0.2), point(0.5, 0.19), point(0.1, 0.9)])
-    assert not module._is_monotone([point(0.9, 0.5), point(0.5, 0.4), point(0.1, 0.9)])
-    assert not module._is_monotone([point(0.9, 0.2), point(0.5, 1.3)])
+def test_monotone_allows_a_tenth_and_two_errors_and_no_more():
+    rising = [point(0.9, 0.5), point(0.5, 0.39), point(0.1, 1.11)]  # room 0.1 + 2 * 0.01
+    assert module.is_monotone(rising)
+    assert not module.is_monotone([point(0.9, 0.5), point(0.5, 0.37), point(0.1, 0.9)])
+    assert not module.is_monotone([point(0.9, 0.5), point(0.5, 1.13), point(0.1, 1.1)])
+    assert module.is_monotone([point(0.9, 0.5), point(0.5, 1.13, error=0.02), point(0.1, 1.1)])
 
 
 def test_probe_repeats_itself_and_tells_rates_apart():
