@@ -29,7 +29,7 @@ def test_repeated_keys_are_all_named_with_their_lines():
 
 
 def test_broken_yaml_names_the_line():
-    with pytest.raises(SpecError, match="x.yaml, line 3: not valid YAML"):
+    with pytest.raises(SpecError, match=r"x\.yaml, line 3: not valid YAML"):
         load_yaml("a: 1\nb: [1, 2\nc: }", "x.yaml")
 
 

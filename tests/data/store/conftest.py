@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mpdt.data.episode import Episode, PolicyInfo
-from mpdt.data.store.reader import Dataset
+from mpdt.data.store.reader import Dataset, open_dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
@@ -84,6 +86,22 @@ def tta_source() -> TtaSource:
     return TtaSource((one, two, other), 3, 4, {0: 1500.0, 1: 0.25}, {"action_scale": 3.0})
 
 
+@pytest.fixture(scope="session")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("store") / "hand-made.h5"
+    return write_file(path, HEADER, source(), {"default": tta_source()}).path
+
+
 @pytest.fixture
-def made(tmp_path: Path) -> Dataset:
-    return write_file(tmp_path / "hand-made.h5", HEADER, source(), {"default": tta_source()})
+def made(original: Path, tmp_path: Path) -> Dataset:
+    """An own copy: every write waits for the disk, so it is written once only."""
+    return open_dataset(shutil.copy(original, tmp_path))
+
+
+@pytest.fixture
+def kit() -> SimpleNamespace:
+    """The hand-made parts (test modules cannot import each other in importlib mode)."""
+    return SimpleNamespace(
+        episode=make_episode, header=HEADER, episodes=EPISODES, source=source, tta=tta_source,
+        uniform=UNIFORM, final=FINAL,
+    )  # fmt: skip

@@ -1,0 +1,221 @@
+"""Opening: maps equal what h5py reads, and every wrong file gets one clear error."""
+
+from __future__ import annotations
+
+import pickle
+
+import h5py
+import numpy as np
+import pytest
+
+from mpdt.data.store import layout
+from mpdt.data.store.amend import add_stats
+from mpdt.data.store.reader import open_dataset, open_tta_rewards, parse_ref
+from mpdt.data.store.tables import Stats
+from mpdt.errors import FormatError, MissingFileError, UsageError
+
+STEPS = ("observations", "actions", "rewards", "terminations", "truncations")
+
+
+def test_maps_equal_h5py_and_ram(made):
+    loaded = open_dataset(made.path, preload=True)
+    with h5py.File(made.path) as file:
+        for name in STEPS:
+            mapped, copied = getattr(made.steps, name), getattr(loaded.steps, name)
+            assert isinstance(mapped, np.memmap)
+            assert not isinstance(copied, np.memmap)
+            np.testing.assert_array_equal(mapped, file["steps"][name][()])
+            np.testing.assert_array_equal(copied, mapped)
+            assert mapped.dtype == copied.dtype
+            assert mapped.ctypes.data % mapped.dtype.itemsize == 0
+    assert made.steps.successes is None
+
+
+def test_maps_cannot_be_written(made):
+    with pytest.raises(ValueError, match="read-only"):
+        made.steps.rewards[0] = 1.0
+
+
+def test_no_hdf5_object_stays_open(made):
+    kinds = h5py.h5f.OBJ_FILE | h5py.h5f.OBJ_DATASET | h5py.h5f.OBJ_GROUP
+    assert h5py.h5f.get_obj_count(h5py.h5f.OBJ_ALL, kinds) == 0
+    with h5py.File(made.path, "r+"):  # refused while HDF5 itself still reads the file
+        pass
+
+
+def test_a_dataset_crosses_processes(made):
+    again = pickle.loads(pickle.dumps(made))
+    np.testing.assert_array_equal(again.steps.rewards, made.steps.rewards)
+    assert again.content_hash == made.content_hash
+
+
+def test_foreign_layout_is_read_into_memory_with_one_warning(made):
+    before = np.array(made.steps.observations)  # a map would show the change made below
+    with h5py.File(made.path, "r+") as file:
+        for name in STEPS:
+            values = file["steps"][name][()]
+            del file["steps"][name]
+            file["steps"].create_dataset(name, data=values, chunks=True, compression="gzip")
+    with pytest.warns(UserWarning, match="chunked, filtered or misaligned") as caught:
+        again = open_dataset(made.path)
+    assert len(caught) == 1
+    assert not isinstance(again.steps.rewards, np.memmap)
+    np.testing.assert_array_equal(again.steps.observations, before)
+
+
+def test_select(made):
+    assert made.select().tolist() == [0, 1, 2, 3]
+    assert made.select(task="forward").tolist() == [0, 1, 2]
+    assert made.select(task=1).tolist() == [3]
+    assert made.select(task=["forward", 1], quality="random").tolist() == [0, 1, 3]
+    assert made.select(quality=["medium", "expert"]).tolist() == [2]
+    for wrong in ({"task": "forwrd"}, {"task": 2}, {"quality": "exprt"}, {"slice": "train"}):
+        with pytest.raises(UsageError, match="unknown"):
+            made.select(**wrong)
+    with pytest.raises(UsageError, match="no episode 4; expected 0 to 3"):
+        made.episode(4)
+
+
+def test_parse_ref(tmp_path):
+    (tmp_path / "a:b").touch()
+    for text, path, name in [
+        ("a.h5", "a.h5", None),
+        ("a.h5:train", "a.h5", "train"),
+        ("/x:y/a.h5", "/x:y/a.h5", None),
+        ("C:\\data\\a.h5", "C:\\data\\a.h5", None),
+        (f"{tmp_path}/a:b", f"{tmp_path}/a:b", None),
+        (f"{tmp_path}/a:b:train", f"{tmp_path}/a:b", "train"),
+    ]:
+        found = parse_ref(text)
+        assert (str(found[0]), found[1]) == (path, name)
+    for text in ("", ":train", "a.h5:"):
+        with pytest.raises(UsageError, match="expected FILE or FILE:slice"):
+            parse_ref(text)
+
+
+def test_a_missing_file_says_how_to_make_it(tmp_path):
+    with pytest.raises(MissingFileError, match="no such file") as caught:
+        open_dataset(tmp_path / "cheetah_dir.h5")
+    assert caught.value.hint == "mpdt-data collect cheetah_dir"
+
+
+def test_files_that_are_not_ours(tmp_path):
+    text, foreign = tmp_path / "a.txt", tmp_path / "b.h5"
+    text.write_text("hello", encoding="utf-8")
+    with h5py.File(foreign, "w") as file:
+        file["steps/observations"] = np.zeros(3)
+    with pytest.raises(FormatError, match="not an HDF5 file"):
+        open_dataset(text)
+    with pytest.raises(FormatError, match="an HDF5 file, but not one of mpdt"):
+        open_dataset(foreign)
+    with pytest.raises(FormatError, match="a folder, not a file"):
+        open_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.9, 0.999])
+def test_truncated_files(made, share):
+    data = made.path.read_bytes()
+    made.path.unlink()
+    made.path.write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(FormatError, match="truncated or damaged"):
+        open_dataset(made.path)
+
+
+def amend(path, change):
+    with h5py.File(path, "r+") as file:
+        change(file)
+
+
+def delete(name):
+    def change(file):
+        del file[name]
+
+    return change
+
+
+def attribute(name, value):
+    return lambda file: file.attrs.__setitem__(name, value)
+
+
+def put(name, row, value):
+    return lambda file: file[name].__setitem__(row, value)
+
+
+def retype(name, values):
+    def change(file):
+        del file[name]
+        file[name] = values
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (attribute("format", "mpdt/2"), "another format version; expected mpdt/1, found mpdt/2"),
+        (lambda file: file.attrs.__delitem__("complete"), "incomplete"),
+        (attribute("complete", 0), "incomplete"),
+        (delete("steps/rewards"), "dataset /steps/rewards is missing"),
+        (delete("episodes/digest"), "dataset /episodes/digest is missing"),
+        (delete("goals"), "group /goals is missing"),
+        (delete("tta/default/episodes/preset_return"), "preset_return is missing"),
+        (lambda file: file.attrs.__delitem__("family"), "attribute 'family' of / is missing"),
+        (attribute("spec", "{"), "not JSON"),
+        (retype("steps/rewards", np.zeros(7)), "/steps/rewards has the wrong type; expected <f4"),
+        (retype("steps/rewards", np.zeros(6, "<f4")), "/steps/rewards has the wrong shape"),
+        (retype("tasks/name", np.zeros(2)), "/tasks/name has the wrong type; expected str"),
+        (put("episodes/start", 2, 4), "start leaves a gap or overlaps at episode 2; expected 3"),
+        (put("episodes/obs_start", 1, 1), "obs_start leaves a gap or overlaps at episode 1"),
+        (put("episodes/length", 0, 0), "episodes without a step"),
+        (put("episodes/length", 3, 2), "does not cover the actions; expected 8 rows, found 7"),
+        (put("episodes/task", 0, 2), "/episodes/task points outside its table"),
+        (put("episodes/policy", 0, -1), "/episodes/policy points outside its table"),
+        (put("goals/dim", 0, 2), "/goals/dim points outside its table"),
+        (put("episodes/digest", (0, 0), 0), "content hash does not fit"),
+        (attribute("content_hash", "0" * 64), "content hash does not fit"),
+        (attribute("family", "ant_dir"), "content hash does not fit"),
+        (put("tta/default/episodes/start", 1, 1), "/tta/default/episodes/start leaves a gap"),
+    ],
+)
+def test_damaged_files_get_one_clear_error(made, change, what):
+    amend(made.path, change)
+    with pytest.raises(FormatError) as caught:
+        open_dataset(made.path)
+    assert what in str(caught.value)
+    assert "hand-made.h5" in str(caught.value)
+
+
+def test_bad_slices(made):
+    amend(made.path, put_slice([1, 1]))
+    with pytest.raises(FormatError, match="/slices/x is not ascending"):
+        open_dataset(made.path)
+    amend(made.path, put("slices/x", 1, 4))
+    with pytest.raises(FormatError, match="/slices/x points outside its table"):
+        open_dataset(made.path)
+
+
+def put_slice(ids):
+    def change(file):
+        file["slices/x"] = np.array(ids)
+        file["slices/x"].attrs["rule"] = "{}"
+
+    return change
+
+
+def test_statistics_of_test_tasks_are_refused(made):
+    widths = {"observations": 2, "actions": 1, "rewards": 1, "returns": 1}
+    fields = {f: {s: np.zeros(n) for s in layout.STATS} for f, n in widths.items()}
+    path = add_stats(made.path, Stats(fields, "", (0, 1), {})).path
+    assert open_dataset(path).stats_info.tasks_seen == (0, 1)  # role both: they are training tasks
+    amend(path, put("tasks/role", 1, 1))
+    with pytest.raises(FormatError, match="statistics saw test tasks; found backward"):
+        open_dataset(path)
+
+
+def test_tta_sets_carry_no_reward(made):
+    tta = made.tta["default"]
+    assert not [name for name in vars(tta) if "reward" in name or "success" in name]
+    rewards, successes = open_tta_rewards(made.path, "default")
+    assert (rewards.tolist(), successes) == ([1, 2, 1, 1], None)
+    with pytest.raises(UsageError, match="unknown TTA set 'defalt'"):
+        open_tta_rewards(made.path, "defalt")

@@ -1,0 +1,278 @@
+"""Round trips and refusals of the writer. The hand-made file is drawn in conftest.py."""
+
+from __future__ import annotations
+
+import resource
+from dataclasses import fields, replace
+
+import h5py
+import numpy as np
+import pytest
+
+from mpdt.data.store.digest import episode_digest
+from mpdt.data.store.reader import open_dataset
+from mpdt.data.store.tables import Additions, Slice, Stats
+from mpdt.data.store.writer import EpisodeSource, check_digests, write_file
+from mpdt.errors import DataError, FormatError, ShapeError, StorageError, UsageError
+
+STATS = ("count", "mean", "std", "min", "max", "q01", "q10", "q50", "q90", "q99")
+
+
+def stats(tasks_seen=(0, 1)) -> Stats:
+    widths = {"observations": 2, "actions": 1, "rewards": 1, "returns": 1}
+    tables = {f: {s: np.full(w, float(i)) for i, s in enumerate(STATS)} for f, w in widths.items()}
+    return Stats(tables, "", tasks_seen, {"actions": (0,)})
+
+
+def assert_same(left, right):
+    for column in fields(left):
+        one, other = getattr(left, column.name), getattr(right, column.name)
+        if isinstance(one, np.ndarray):
+            assert one.dtype == other.dtype
+            np.testing.assert_array_equal(one, other)
+        else:
+            assert one == other, column.name
+
+
+def test_round_trip_of_lengths_1_2_3_1(made, kit):
+    assert (made.num_episodes, made.num_steps) == (4, 7)
+    for i, episode in enumerate(kit.episodes):
+        assert_same(made.episode(i), episode)
+
+
+def test_episode_columns_by_hand(made):
+    columns = made.episodes
+    assert columns.task.tolist() == [0, 0, 0, 1]
+    assert columns.length.tolist() == [1, 2, 3, 1]
+    assert columns.start.tolist() == [0, 1, 3, 6]
+    assert columns.obs_start.tolist() == [0, 2, 5, 9]  # one more row per episode before
+    assert columns.policy.tolist() == [0, 0, 1, 2]  # (task, hash): the last is task 1's uniform
+    assert columns.goal.tolist() == [0, 0, 0, 1]
+    assert columns.quality.tolist() == [0, 0, 2, 0]
+    assert columns.progress.tolist() == [0, 0, 1, 0]
+    assert columns.returns.tolist() == [1, 3, 6, 1]
+    assert columns.seed_key.tolist()[1] == [0, 0, 0, 0, 1]
+    assert columns.source is None
+
+
+def test_next_observations_never_cross_episodes(made):
+    i = 1  # observations 200..205, two steps
+    start, length = made.episodes.obs_start[i], made.episodes.length[i]
+    following = made.steps.observations[start + 1 : start + 1 + length]
+    assert following.tolist() == [[202, 203], [204, 205]]
+
+
+def test_header_and_small_tables(made, kit):
+    assert (made.family, made.name, made.version) == ("cheetah_dir", "hand-made", "1.0.0")
+    assert (made.license, made.spec["seed"], made.parent) == ("CC0-1.0", 3, "")
+    assert made.tasks.names == ("forward", "backward")
+    assert made.tasks.indices == (0, 1)
+    assert made.tasks.envs[0] == {"entry_point": "x:y", "kwargs": {"task": "forward"}}
+    assert made.tasks.roles.tolist() == [2, 2]
+    assert np.isnan(made.tasks.ref_zero[0])
+    assert made.tasks.ref_expert[1] == 9.0
+    assert made.goals.values.tolist() == [[1.0], [-1.0], [0.5]]  # the last one of the TTA set
+    assert made.policy_infos() == list(kit.header.policies)
+    assert {"mpdt", "python", "numpy", "h5py", "hdf5", "mujoco"} <= set(made.packages)
+    assert set(made.platform) == {"os", "arch", "cpu", "blas"}
+
+
+def test_spec_and_digests_are_hashed(made, kit):
+    names = made.tasks.names
+    for i, episode in enumerate(kit.episodes):
+        assert made.episodes.digest[i].tobytes() == episode_digest(episode, names[episode.task])
+    assert len(made.content_hash) == len(made.spec_hash) == 64
+
+
+def test_arrays_are_contiguous_aligned_and_little_endian(made):
+    with h5py.File(made.path) as file:
+        arrays = []
+        file.visititems(lambda _, item: arrays.append(item))
+        for item in arrays:
+            if isinstance(item, h5py.Dataset) and item.size and item.dtype.kind != "O":
+                assert item.chunks is None
+                assert item.id.get_offset() % 64 == 0
+                assert item.dtype.newbyteorder("<") == item.dtype
+        assert file["steps/terminations"].id.get_storage_size() == 7  # one byte per flag
+
+
+def test_goals_of_different_sizes_are_padded(tmp_path, kit):
+    episodes = (
+        replace(kit.episode(1), goal=np.zeros(0)),
+        replace(kit.episode(1, row=1), goal=np.array([1.0, 2.0])),
+        replace(kit.episode(1, row=2), goal=np.array([0.0, 0.0])),
+    )
+    made = write_file(tmp_path / "a.h5", kit.header, kit.source(episodes))
+    assert made.goals.values.tolist() == [[0, 0], [1, 2], [0, 0]]
+    assert made.goals.dims.tolist() == [0, 2, 2]
+    for i, episode in enumerate(episodes):
+        assert_same(made.episode(i), episode)
+
+
+def test_successes_are_kept_per_step(tmp_path, kit):
+    episodes = (kit.episode(2, success=True), kit.episode(2, row=1, success=False))
+    header = replace(kit.header, has_success=True)
+    made = write_file(tmp_path / "a.h5", header, kit.source(episodes))
+    assert made.steps.successes.tolist() == [False, True, False, False]
+    assert made.episodes.success.tolist() == [True, False]
+    with pytest.raises(ShapeError, match="successes do not fit the header"):
+        write_file(tmp_path / "b.h5", kit.header, kit.source(episodes))
+
+
+def test_no_episodes_at_all(tmp_path, kit):
+    made = write_file(tmp_path / "a.h5", kit.header, kit.source(()))
+    assert (made.num_episodes, made.num_steps) == (0, 0)
+    assert made.steps.observations.shape == (0, 2)
+    assert made.select().tolist() == []
+
+
+def test_content_hash_is_of_the_episodes_alone(tmp_path, made, kit):
+    other = replace(kit.header, name="b", version="2.0.0", spec={}, packages={"mpdt": "9"})
+    finish = lambda dataset: Additions(  # noqa: E731
+        {"train": Slice(np.array([0]), {"rule": "x"})}, stats(), {"forward": (1.0, 2.0, 3.0)}
+    )
+    again = write_file(tmp_path / "b.h5", other, kit.source(), finish=finish)
+    assert again.content_hash == made.content_hash
+    assert again.spec_hash != made.spec_hash
+    fewer = write_file(tmp_path / "c.h5", kit.header, kit.source(kit.episodes[:3]))
+    assert fewer.content_hash != made.content_hash
+
+
+def test_finish_sees_the_episodes_and_adds(tmp_path, kit):
+    seen = []
+
+    def finish(dataset):
+        seen.append((dataset.path.name, dataset.num_episodes, dataset.steps.rewards.tolist()))
+        nan = float("nan")
+        ids = dataset.select(task="forward")
+        return Additions({"train": Slice(ids, {"task": "forward"})}, stats(),
+                         {"forward": (1.5, nan, 3.0)})  # fmt: skip
+
+    made = write_file(tmp_path / "a.h5", kit.header, kit.source(), finish=finish)
+    assert seen == [("a.h5.tmp", 4, [1, 1, 2, 1, 2, 3, 1])]
+    assert made.slices["train"].tolist() == [0, 1, 2]
+    assert made.slice_rules["train"] == {"task": "forward"}
+    assert made.tasks.ref_random.tolist() == [1.5, -1.0]
+    assert np.isnan(made.tasks.ref_zero[0])
+    assert made.stats["observations"]["q99"].tolist() == [9, 9]
+    assert made.stats["returns"]["mean"].tolist() == [1]
+    assert made.stats_info.tasks_seen == (0, 1)
+    assert made.stats_info.constant["actions"] == (0,)
+    with h5py.File(made.path) as file:
+        assert file["slices/train"].attrs["parent"] == made.content_hash
+
+
+def test_cut_out_files_keep_ids_and_parent(tmp_path, made, kit):
+    ids = [1, 3]
+    source = EpisodeSource([made.episode(i) for i in ids], 2, 3, source_ids=ids)
+    cut = write_file(tmp_path / "b.h5", replace(kit.header, parent=made.content_hash), source)
+    assert cut.parent == made.content_hash
+    assert cut.episodes.source.tolist() == ids
+    np.testing.assert_array_equal(cut.episodes.digest, made.episodes.digest[ids])
+    with pytest.raises(DataError, match="source ids and episodes disagree"):
+        write_file(tmp_path / "c.h5", kit.header, replace(kit.source(), source_ids=[1]))
+
+
+def test_long_texts_outgrow_attributes(tmp_path, kit):
+    spec = {"text": "é" * 40_000}  # 80 kB in UTF-8
+    made = write_file(tmp_path / "a.h5", replace(kit.header, spec=spec), kit.source())
+    assert made.spec == spec
+    with h5py.File(made.path) as file:
+        assert file["spec"].shape == ()
+
+
+@pytest.mark.parametrize(
+    ("order", "what"),
+    [((1, 0), "found (0, 0, 0, 0) after (0, 0, 0, 1)"), ((2, 1), "(0, 0, 0, 1) after (0, 2, 0"),
+     ((3, 0), "after (1, 0, 0, 0)"), ((0, 0), "found (0, 0, 0, 0) after (0, 0, 0, 0)")],
+)  # fmt: skip
+def test_canonical_order_is_demanded(tmp_path, kit, order, what):
+    episodes = tuple(kit.episodes[i] for i in order)
+    with pytest.raises(DataError, match="out of canonical order") as caught:
+        write_file(tmp_path / "a.h5", kit.header, kit.source(episodes))
+    assert what in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("count", "steps", "found"), [(5, 7, "4 episodes of 7"), (4, 8, "4 episodes of 7"),
+                                  (3, 7, "at least 4 episodes"), (4, 6, "4 episodes of 7")],
+)  # fmt: skip
+def test_announced_counts_must_come_true(tmp_path, kit, count, steps, found):
+    with pytest.raises(DataError, match="not the announced number") as caught:
+        write_file(tmp_path / "a.h5", kit.header, EpisodeSource(kit.episodes, count, steps))
+    assert found in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_strangers_are_refused(tmp_path, kit):
+    target = tmp_path / "a.h5"
+    with pytest.raises(DataError, match=r"task the file does not have.*found 5"):
+        write_file(target, kit.header, kit.source((kit.episode(1, task=5),)))
+    with pytest.raises(DataError, match="policy the header does not list"):
+        write_file(target, kit.header, kit.source((kit.episode(1, policy=bytes(32)),)))
+    wide = replace(kit.episode(1), actions=np.zeros((1, 3), np.float32))
+    with pytest.raises(ShapeError, match=r"wrong actions; expected rows of \(1,\), found \(3,\)"):
+        write_file(target, kit.header, kit.source((wide,)))
+    with pytest.raises(DataError, match="ascend by family index"):
+        write_file(target, replace(kit.header, tasks=kit.header.tasks[::-1]), kit.source())
+    with pytest.raises(UsageError, match="cannot be a name"):
+        write_file(target, kit.header, kit.source(), {"a/b": kit.tta()})
+    with pytest.raises(DataError, match="ascending episode ids"):
+        write_file(target, kit.header, kit.source(),
+                   finish=lambda _: Additions({"s": Slice(np.array([2, 1]), {})}))  # fmt: skip
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failing_source_leaves_the_old_file(made, kit):
+    before = made.path.read_bytes()
+
+    def broken():
+        yield kit.episodes[0]
+        raise RuntimeError("the simulator fell over")
+
+    with pytest.raises(RuntimeError, match="fell over"):
+        write_file(made.path, kit.header, EpisodeSource(broken(), 4, 7))
+    assert made.path.read_bytes() == before
+    assert [path.name for path in made.path.parent.iterdir()] == ["hand-made.h5"]
+
+
+def test_a_full_disk_is_one_clean_error(made, kit):
+    before = made.path.read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    long = kit.episode(100_000)  # 2 MB of steps against 1 MB of room
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, hard))
+        with pytest.raises(StorageError, match=r"hand-made\.h5: the disk is full") as caught:
+            write_file(made.path, kit.header, kit.source((long,)))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert "make room" in caught.value.hint
+    assert made.path.read_bytes() == before
+    assert [path.name for path in made.path.parent.iterdir()] == ["hand-made.h5"]
+
+
+def test_a_folder_that_takes_no_files(tmp_path, kit):
+    with pytest.raises(StorageError, match="folder does not exist"):
+        write_file(tmp_path / "no" / "a.h5", kit.header, kit.source())
+    (tmp_path / "a.h5.tmp").mkdir()  # in the way, as a read-only folder would be
+    with pytest.raises(StorageError, match=r"a\.h5: cannot be written"):
+        write_file(tmp_path / "a.h5", kit.header, kit.source())
+    (tmp_path / "b.h5").mkdir()
+    with pytest.raises(StorageError, match="a folder is in the way"):
+        write_file(tmp_path / "b.h5", kit.header, kit.source())
+
+
+def test_open_readers_keep_the_old_episodes(made, kit):
+    write_file(made.path, kit.header, kit.source(kit.episodes[2:]))
+    assert made.episode(0).observations.tolist() == [[100, 101], [102, 103]]
+    assert open_dataset(made.path).num_episodes == 2
+
+
+def test_a_flipped_bit_is_found(made):
+    with made.path.open("r+b") as stream:
+        raw = stream.read()
+        stream.seek(raw.index(np.array([200, 201, 202], np.float32).tobytes()))
+        stream.write(np.float32(200.5).tobytes())
+    with pytest.raises(FormatError, match=r"1 episodes do not have their digest; found episodes "
+                                          r"\[1\]"):  # fmt: skip
+        check_digests(open_dataset(made.path))
