@@ -100,7 +100,7 @@ class Trainer:
             if self.folder.teacher.exists():
                 header, tensors = load_weights(self.folder.teacher, kind="teacher", hashes=hashes)
                 subject.load(tensors)
-                steps["teacher"] = int(str(header.settings["steps"]))
+                steps["teacher"] = int(str(header.settings["updates"]))
             else:
                 share = config.teacher.steps / max(1, config.teacher.steps + config.multitask.steps)
                 steps["teacher"] = self._fit(
@@ -108,7 +108,7 @@ class Trainer:
                 )
                 save_weights(
                     self.folder.teacher, subject.tensors(optimizer=False),
-                    WeightsHeader(kind="teacher", hashes=hashes, settings=dict(steps)),
+                    WeightsHeader(kind="teacher", hashes=hashes, settings={"updates": steps["teacher"]}),
                 )  # fmt: skip
             teacher = Teacher(policy, prompts, config.teacher)
         student = DecomposedPrompts(*shape, phase_seed(config.seed, "student"))

@@ -1,0 +1,98 @@
+"""A small written file of cheetah_dir's shape: numbers from a generator, no simulator involved.
+
+Two tasks (role both), medium and expert and random episodes of 6 to 9 steps, X of 2 episodes
+per task. Expert actions are a fixed function of the observation and the task, so there is
+something to learn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.slices.stats import compute_stats
+from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
+from mpdt.data.store.tables import Additions, Slice, TaskRow
+from mpdt.data.store.writer import write_file
+
+D, A, HORIZON = 20, 6, 9
+UNIFORM, FINAL = bytes(range(32)), bytes([7] * 32)
+QUALITIES = {0: 2, 1: 2, 2: 4}  # code -> episodes per task
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def make_episode(task: int, quality: int, row: int, scale: float = 1.0) -> Episode:
+    generator = np.random.Generator(np.random.PCG64([task, quality, row]))
+    length = 6 + (row + task) % 4
+    observations = generator.standard_normal((length + 1, D)).astype(np.float32)
+    actions = scale * generator.uniform(-1, 1, (length, A)).astype(np.float32)
+    if quality == 2:
+        actions = np.tanh(observations[:-1, :A] * (1 if task == 0 else -1))
+    ends = np.arange(length) == length - 1
+    return Episode(
+        observations=observations,
+        actions=actions.astype(np.float32),
+        rewards=np.full(length, 1.0 + quality, np.float32),
+        terminations=ends,
+        truncations=np.zeros(length, bool),
+        successes=None,
+        task=task,
+        goal=np.array([1.0 if task == 0 else -1.0]),
+        quality=quality,
+        progress=quality / 2 if quality < 3 else -1.0,
+        policy=FINAL if quality == 2 else UNIFORM,
+        seed_key=(0, task, quality, 0, row),
+    )
+
+
+def write(path: Path, qualities: dict[int, int] = QUALITIES, tta: bool = True) -> Path:
+    episodes = [make_episode(task, quality, row) for task in (0, 1)
+                for quality, count in qualities.items() for row in range(count)]  # fmt: skip
+    unseen = [make_episode(task, 4, row, scale=3.0) for task in (0, 1) for row in range(2)]
+    header = FileHeader(
+        family="cheetah_dir", name="tiny", version="1.0.0", license="CC0-1.0",
+        spec={"name": "tiny", "horizon": HORIZON, "env": {}},
+        observation_size=D, action_size=A, has_success=False,
+        tasks=(
+            TaskRow("forward", 0, "both", {}, ref_random=-1.0, ref_zero=0.0, ref_expert=9.0),
+            TaskRow("backward", 1, "both", {}, ref_random=-2.0, ref_zero=0.0, ref_expert=8.0),
+        ),
+        policies=tuple(
+            PolicyInfo(policy, task, rung, float(rung), -1, 0.0, name)
+            for task in (0, 1) for policy, rung, name in ((UNIFORM, 0, "u"), (FINAL, 1, "f"))
+        ),
+    )  # fmt: skip
+    x = TtaSource(unseen, len(unseen), sum(e.length for e in unseen), {0: 20.0, 1: 30.0},
+                  {"action_scale": 3.0})  # fmt: skip
+    write_file(
+        path, header, EpisodeSource(episodes, len(episodes), sum(e.length for e in episodes)),
+        {"default": x} if tta else {},
+        finish=lambda dataset: Additions(
+            slices={"few": Slice(np.array([0, len(episodes) // 2]), {"made": "by hand"})},
+            stats=compute_stats(dataset),
+        ),
+    )  # fmt: skip
+    return path
+
+
+@pytest.fixture(scope="session")
+def tiny_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("data") / "tiny.h5")
+
+
+@pytest.fixture(scope="session")
+def medium_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cut-out with one quality and no TTA set."""
+    return write(tmp_path_factory.mktemp("data") / "tiny-medium.h5", {1: 2}, tta=False)

@@ -1,0 +1,176 @@
+"""The command as a user types it: a whole run, stop and resume, refusals, exit codes."""
+
+import json
+import os
+import signal
+
+import pytest
+
+from mpdt.errors import UsageError
+from mpdt.model.weights import load_weights
+from mpdt.train.cli import Run, main, parse_settings
+from mpdt.train.progress import Progress
+
+QUICK = ["--preset", "smoke", "--threads", "1", "--statistics.batches", "1",
+         "--evaluation.horizon", "3", "--multitask.checkpoint-every", "6"]  # fmt: skip
+
+
+def call(*arguments):
+    """Exit code of one call."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(argument) for argument in arguments])
+    return stopped.value.code
+
+
+@pytest.fixture(scope="module")
+def finished(tiny_file, tmp_path_factory):
+    runs = tmp_path_factory.mktemp("runs")
+    assert call("--data", tiny_file, *QUICK, "--runs-dir", runs, "--name", "whole", "-q") == 0
+    return runs / "whole"
+
+
+def test_a_run_leaves_its_files(finished):
+    assert {path.name for path in finished.iterdir()} == {
+        "config.json", "metrics.jsonl", "teacher.safetensors", "weights.safetensors",
+        "results.json", "report.md",
+    }  # fmt: skip
+    header, tensors = load_weights(finished / "weights.safetensors", kind="mpdt")
+    assert {"run", "backbone", "data"} == set(header.hashes)
+    assert tensors["prompts.cross"].shape == (4, 64)
+    assert not any("backbone" in name for name in tensors), "trainables only"
+
+
+def test_the_table_has_every_row_once(finished):
+    results = json.loads((finished / "results.json").read_text())
+    rows = [(s["block"], s["method"]) for s in results["scores"] if s["task"] == "mean"]
+    trivial = ["zero action", "random", "best constant"]
+    assert rows == [
+        *[("train", method) for method in (*trivial, "expert", "MPDT")],
+        *[("test", method) for method in (*trivial, "expert", "MPDT from cross, adapted",
+                                          "MPDT P_c o mean P_k, not adapted")],
+    ]  # fmt: skip
+    assert results["updates"] == {"teacher": 20, "student": 20}
+    # P_c 4x64, two tasks of 4 + 64, time table 1000x64, head 64x64+64 and 64x6+6
+    assert results["num_trainables"] == 256 + 2 * 68 + 64000 + 4160 + 390
+
+
+def test_references_of_another_horizon_are_not_shown(finished):
+    scores = json.loads((finished / "results.json").read_text())["scores"]
+    assert all(s["mean"] is None for s in scores if s["method"] == "expert")
+
+
+def test_stop_and_resume_gives_the_same_bytes(tiny_file, finished, tmp_path, monkeypatch, capsys):
+    """SIGTERM in the middle of the student, then the same command again."""
+    update = Progress.update
+
+    def interrupt(self, phase, done, total, text=""):
+        if phase == "student" and done == 9:
+            os.kill(os.getpid(), signal.SIGTERM)
+        update(self, phase, done, total, text)
+
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "broken"]
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "update", interrupt)
+        assert call(*arguments) == 143
+    assert "stopped by SIGTERM; saved. Continue with the same command" in capsys.readouterr().err
+    assert not (tmp_path / "broken/results.json").exists()
+    assert call(*arguments) == 0
+    assert "resuming student after 9 of 20 updates" in capsys.readouterr().err
+    for name in ("metrics.jsonl", "weights.safetensors", "teacher.safetensors"):
+        assert (tmp_path / "broken" / name).read_bytes() == (finished / name).read_bytes(), name
+    whole, broken = (json.loads((path / "results.json").read_text())
+                     for path in (finished, tmp_path / "broken"))  # fmt: skip
+    assert whole["scores"] == broken["scores"]
+
+
+def test_a_finished_run_is_looked_up_not_repeated(tiny_file, finished, capsys):
+    before = (finished / "weights.safetensors").stat().st_mtime_ns
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", finished.parent, "--name", "whole"]
+    assert call(*arguments, "--json") == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out) == json.loads((finished / "results.json").read_text())
+    assert "this run is done" in err and "content " in err
+    assert (finished / "weights.safetensors").stat().st_mtime_ns == before
+
+
+def test_other_settings_in_the_same_folder_are_refused(tiny_file, finished, capsys):
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", finished.parent, "--name", "whole"]
+    assert call(*arguments, "--seed", 1) == 1
+    error = capsys.readouterr().err
+    assert "another run lives in this folder; found seed: 0 -> 1" in error
+    assert "--name whole-2" in error and "--restart" in error
+
+
+def test_restart_never_eats_a_folder_without_a_run(tiny_file, tmp_path, capsys):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/thesis.txt").write_text("years")
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "mine"]
+    assert call(*arguments, "--restart") == 1 and call(*arguments) == 1
+    assert (tmp_path / "mine/thesis.txt").read_text() == "years"
+
+
+def test_report_prints_the_tables_again(finished, capsys):
+    assert call("report", finished) == 0
+    out = capsys.readouterr().out
+    assert "Training tasks" in out and "zero action" in out and "not measured" in out
+    assert call("report", finished.parent) == 2
+    assert "no results here" in capsys.readouterr().err
+
+
+def test_without_adaptation_and_teacher(medium_file, tmp_path, capsys):
+    """A cut-out of one quality without a TTA set: trains on what is there."""
+    quick = [*QUICK, "--runs-dir", tmp_path, "--name", "m"]
+    assert call("--data", medium_file, *quick) == 1
+    assert "no set for test-time adaptation" in capsys.readouterr().err
+    assert not (tmp_path / "m").exists(), "nothing half-written"
+    plain = [*quick, "--adapt.starts", "none", "--teacher.distillation", "none"]
+    assert call("--data", medium_file, *plain, "--evaluation.no-constants", "--steps", 2) == 0
+    results = json.loads((tmp_path / "m/results.json").read_text())
+    assert results["updates"] == {"teacher": 0, "student": 2}
+    assert results["data"]["quality"] == "medium"
+    assert not (tmp_path / "m/teacher.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        (["--data", "nowhere.h5"], 2, "hint:  mpdt-data collect nowhere"),
+        (["--data", "FILE", "--preset", "smoek"], 2, "(did you mean 'smoke'?)"),
+        (["--data", "FILE", "--quality", "exprt"], 2, "(did you mean 'expert'?)"),
+        (["--data", "FILE", "--backbone.name", "random:tinny", *QUICK], 2, "(did you mean 'tiny'?)"),
+        (["--data", "FILE:fw"], 2, "(did you mean 'few'?)"),
+        (["--data", "FILE", "--name", "../x"], 2, "cannot name a run"),
+        (["--data", "FILE", "--adapt.set", "defalt"], 2, "(did you mean 'default'?)"),
+        (["--data", "FILE", "--sampler.window", "0"], 2, "sampler.window"),
+        (["rnu"], 2, "(did you mean 'run'?)"),
+    ],
+)
+def test_refusals_are_one_clear_error(tiny_file, tmp_path, capsys, arguments, code, text):
+    arguments = [a.replace("FILE", str(tiny_file)) for a in arguments]
+    if arguments[0] == "--data":
+        arguments += ["--runs-dir", str(tmp_path)]
+    assert call(*arguments) == code
+    error = capsys.readouterr().err
+    assert text in error and "Traceback" not in error
+
+
+def test_settings_lists_every_option_with_its_value(capsys):
+    assert call("settings", "--preset", "paper") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "--prompts.length 30" in lines and "--adapt.starts cross" in lines
+
+
+def test_overrides_and_the_share_of_the_teacher():
+    """base: teacher 1000 of 3000 updates, so 300 give it 100."""
+    config = parse_settings(Run(data="x", steps=300), ["--inputs.return-to-go", "family"])
+    assert (config.teacher.steps, config.multitask.steps) == (100, 300)
+    assert config.inputs.return_to_go == "family"
+    with pytest.raises(UsageError, match="unknown preset"):
+        parse_settings(Run(data="x", preset="y"), [])
+
+
+def test_time_limit_ends_training_and_goes_on(tiny_file, tmp_path):
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "t", "-q"]
+    assert call(*arguments, "--time-limit-s", "1e-9", "--evaluation.no-constants") == 0
+    results = json.loads((tmp_path / "t/results.json").read_text())
+    assert results["updates"] == {"teacher": 1, "student": 1}
