@@ -45,7 +45,9 @@ def test_help_imports_nothing_heavy(module: str) -> None:
 
 def test_no_global_random_generator_is_used() -> None:
     """All randomness comes from named seeds; these calls would draw from global state."""
-    banned = ("np.random.seed", "np.random.rand", "random.random(", "torch.manual_seed")
+    banned = ("np.random.seed", "np.random.rand", "random.random(")
     for path in SOURCES:
         text = path.read_text()
-        assert not [call for call in banned if call in text], path
+        assert not [call for call in banned if f" {call}" in text], path
+        if "torch.manual_seed" in text:  # layers that only know the global one: fork it
+            assert "fork_rng" in text, path

@@ -24,7 +24,7 @@ from mpdt.data.sim.policies import Policy, UniformPolicy
 from mpdt.data.sim.robots import network_inputs
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Family, Task, get_family
-from mpdt.errors import DataError, SpecError, unknown_name
+from mpdt.errors import SpecError, unknown_name
 from mpdt.seeding import SeedKey, Stream
 
 Weights = Mapping[str, NDArray[np.float32]]
@@ -198,15 +198,3 @@ def _spread(wanted: int, shipped: int, where: str) -> list[int]:
             hint="choose fewer, or train a longer ladder with: mpdt-data pretrain",
         )
     return [round(i * (shipped - 1) / (wanted - 1)) for i in range(wanted)]
-
-
-def check_network(weights: Weights, inputs: int, actions: int, where: str) -> None:
-    """Raise DataError unless the arrays form a network from `inputs` to `actions`."""
-    found = (weights["w0"].shape[0], weights["w2"].shape[1])
-    if found != (inputs, actions):
-        raise DataError(
-            "the network has other sizes than its family",
-            where=where,
-            expected=f"{inputs} inputs and {actions} actions",
-            found=f"{found[0]} and {found[1]}",
-        )

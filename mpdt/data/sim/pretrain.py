@@ -23,10 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load_file, save_file
 
-from mpdt.data.sim.network import network_actions
+from mpdt.data.sim.rungs import describe_rungs
 from mpdt.data.spec.tasks import Family, get_family
 from mpdt.errors import SimulatorError, UsageError, unknown_name
-from mpdt.seeding import Quality, SeedKey, Stream
 
 Weights = dict[str, NDArray[np.float32]]
 
@@ -104,7 +103,16 @@ def pretrain(
     say = on_progress or (lambda line: None)
     curve = _train(family, settings, total, seed, work, say)
     say("judging the snapshots on every task")
-    ladder = _judge_all(family, settings, work, seed)
+    ladder = describe_rungs(
+        family,
+        work,
+        num_rungs=settings.num_rungs,
+        episodes=settings.judge_episodes,
+        noise=settings.judge_noise,
+        seed=seed,
+        threads=settings.threads,
+        say=say,
+    )
     record = {
         "network": name,
         "robot": family.robot,
@@ -235,98 +243,3 @@ def _export(model: Any) -> Weights:
         weights[f"w{i}"] = state[f"{layer}.weight"].T
         weights[f"b{i}"] = state[f"{layer}.bias"]
     return {key: np.ascontiguousarray(value, dtype=np.float32) for key, value in weights.items()}
-
-
-def judge(
-    family: Family, weights: Weights | None, episodes: int, noise: float, seed: int, threads: int
-) -> NDArray[np.float64]:
-    """Mean return per task of a network, or of uniform actions where `weights` is None.
-
-    Plays `episodes` episodes of every task side by side, with Gaussian action noise.
-    Returns (num_tasks,) in the task's own reward.
-    """
-    from mpdt.data.sim.locomotion import LocomotionBatch
-    from mpdt.data.sim.robots import network_inputs
-
-    tasks = [task for task in family.tasks for _ in range(episodes)]
-    keys = [
-        SeedKey(seed, family.id, task.index, Quality.PRETRAINING, 0, row)
-        for row, task in enumerate(tasks)
-    ]
-    env = LocomotionBatch(family, tasks, threads=threads)
-    goals = env.draw_goals(keys)
-    flat = np.array([goal[0] for goal in goals])
-    observations = env.reset(keys, goals)
-    generator = keys[0].generator(Stream.POLICY)
-    total, alive = np.zeros(len(tasks)), np.ones(len(tasks), dtype=bool)
-    for _ in range(family.horizon):
-        shape = (len(tasks), family.action_size)
-        if weights is None:
-            actions = generator.uniform(family.action_low, family.action_high, shape)
-        else:
-            inputs = network_inputs(family.robot, family.reward, observations, flat)
-            actions = network_actions(weights, inputs) + noise * generator.standard_normal(shape)
-        actions = np.clip(actions, family.action_low, family.action_high)
-        result = env.step(actions.astype(np.float32))
-        observations = result.observations
-        total += np.where(alive, result.rewards, 0.0)
-        alive &= ~result.terminations
-    return np.asarray(total.reshape(len(family.tasks), episodes).mean(axis=1))
-
-
-def _judge_all(family: Family, settings: PretrainSettings, work: Path, seed: int) -> dict[str, Any]:
-    """Measure every snapshot, choose the rungs, and describe them for the record."""
-    paths = sorted(work.glob("[0-9]*.safetensors"))
-    args = (settings.judge_episodes, settings.judge_noise, seed, settings.threads)
-    random = judge(family, None, *args)
-    returns = np.stack([judge(family, load_file(path), *args) for path in paths])
-    best = 1 + int(returns[1:].mean(axis=1).argmax())  # the untrained one is never final
-    returns, paths = returns[: best + 1], paths[: best + 1]
-    levels = (returns - random) / (returns[-1] - random)
-    chosen = choose_rungs(levels, settings.num_rungs)
-    names = [task.name for task in family.tasks]
-
-    def per_task(values: NDArray[np.float64]) -> dict[str, float]:
-        return {name: round(float(value), 4) for name, value in zip(names, values, strict=True)}
-
-    return {
-        "random": per_task(random),
-        "rungs": [
-            {
-                "train_step": int(paths[i].stem),
-                "returns": per_task(returns[i]),
-                "levels": per_task(levels[i]),
-            }
-            for i in chosen
-        ],
-    }
-
-
-def choose_rungs(levels: NDArray[np.float64], num_rungs: int) -> list[int]:
-    """Snapshots that become rungs, ascending.
-
-    levels (S, K): normalised return of S snapshots on K tasks; the last one is final, so its
-    level is 1. Always contains the first, the last and, for as few snapshots as possible, one
-    within [0.4, 0.6] for every task (the nearest to 0.5 where none is); the rest is spread
-    evenly over the mean level.
-    """
-    num_snapshots = len(levels)
-    if num_snapshots <= num_rungs:
-        return list(range(num_snapshots))
-    distance = np.abs(levels - 0.5)
-    good = distance <= np.maximum(0.1, distance.min(axis=0))
-    chosen = {0, num_snapshots - 1}
-    missing = ~good[sorted(chosen)].any(axis=0)
-    while missing.any():
-        pick = int(good[:, missing].sum(axis=1).argmax())
-        chosen.add(pick)
-        missing &= ~good[pick]
-    mean = levels.mean(axis=1)
-    targets = np.linspace(mean[0], 1.0, num_rungs)
-    while len(chosen) < num_rungs:
-        taken = mean[sorted(chosen)]
-        # The target worst served by what is chosen gets the nearest snapshot still free.
-        worst = targets[np.abs(targets[:, None] - taken).min(axis=1).argmax()]
-        free = [i for i in range(num_snapshots) if i not in chosen]
-        chosen.add(min(free, key=lambda i: abs(mean[i] - worst)))
-    return sorted(chosen)

@@ -1,4 +1,4 @@
-"""Behaviour training: rungs worked out by hand, and one tiny run through stable-baselines3."""
+"""Behaviour training: tiny runs through stable-baselines3."""
 
 from __future__ import annotations
 
@@ -11,28 +11,9 @@ import pytest
 
 from mpdt.data.sim import pretrain as module
 from mpdt.data.sim.network import load_rungs, network_actions
-from mpdt.data.sim.pretrain import choose_rungs, judge, pretrain
+from mpdt.data.sim.pretrain import pretrain
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import UsageError
-
-
-def test_rungs_cover_every_task_at_half_level() -> None:
-    """Task 0 passes one half at snapshot 1, task 1 at snapshot 3: both must be kept."""
-    levels = np.array([[0.0, 0.0], [0.5, 0.1], [0.8, 0.2], [0.9, 0.5], [1.0, 0.9], [1.0, 1.0]])
-    assert choose_rungs(levels, 4) == [0, 1, 3, 5]
-
-
-def test_rungs_are_even_where_nothing_is_forced() -> None:
-    """One task, levels 0, .1 .. 1: one rung near one half, no wide gap."""
-    levels = np.linspace(0, 1, 11)[:, None]
-    chosen = choose_rungs(levels, 5)
-    assert chosen[0] == 0 and chosen[-1] == 10 and {4, 5, 6} & set(chosen)
-    assert len(chosen) == 5
-    assert max(np.diff(chosen)) <= 3
-
-
-def test_all_snapshots_are_rungs_when_there_are_few() -> None:
-    assert choose_rungs(np.zeros((3, 2)), 20) == [0, 1, 2]
 
 
 @pytest.fixture()
@@ -82,13 +63,6 @@ def test_exported_network_is_the_trained_one(tiny: None, tmp_path: Path) -> None
     last = sorted(work.glob("0*.safetensors"))[-1]
     got = network_actions(module.load_file(last), inputs)
     np.testing.assert_allclose(np.clip(got, -1, 1), want, atol=1e-5)
-
-
-def test_uniform_actions_return_what_was_published() -> None:
-    """Random actions over 200 steps: about -36 forward and -4 backward."""
-    forward, backward = judge(get_family("cheetah_dir"), None, 16, 0.0, seed=0, threads=1)
-    assert -50 < forward < -22
-    assert -18 < backward < 10
 
 
 def test_bad_names_and_sizes_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,148 @@
+"""Which snapshots of a training run become rungs: judge them all, then spread them evenly.
+
+snapshot   0    1    2   ..   S
+returns    per task, with the noise the data is collected with
+levels     (R - R_random) / (R_final - R_random)      final = best mean return
+rungs      first, final, one near level 0.5 for every task, the rest evenly between
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors.numpy import load_file
+
+from mpdt.data.sim.locomotion import LocomotionBatch
+from mpdt.data.sim.network import Weights, network_actions
+from mpdt.data.sim.robots import network_inputs
+from mpdt.data.spec.tasks import Family
+from mpdt.seeding import Quality, SeedKey, Stream
+
+
+def describe_rungs(
+    family: Family,
+    work: Path,
+    *,
+    num_rungs: int,
+    episodes: int,
+    noise: float,
+    seed: int,
+    threads: int,
+    say: Callable[[str], None],
+) -> dict[str, Any]:
+    """Judge the snapshots `<step>.safetensors` in `work` and choose the rungs among them.
+
+    What was judged is kept in `work/judged.json`, so a stopped run goes on where it was.
+    Returns `random` (return per task) and `rungs` (train_step, returns and levels per task).
+    """
+    paths = sorted(work.glob("[0-9]*.safetensors"))
+    cache = work / "judged.json"
+    judged: dict[str, list[float]] = json.loads(cache.read_text()) if cache.is_file() else {}
+    for done, path in enumerate([None, *paths]):
+        name = path.stem if path else "random"
+        if name not in judged:
+            weights = load_file(path) if path else None
+            judged[name] = judge(family, weights, episodes, noise, seed, threads).tolist()
+            cache.write_text(json.dumps(judged))
+            say(f"judged {done}/{len(paths)} snapshots")
+    random = np.array(judged["random"])
+    returns = np.array([judged[path.stem] for path in paths])
+    best = 1 + int(returns[1:].mean(axis=1).argmax())  # the untrained one is never final
+    returns = returns[: best + 1]
+    levels = (returns - random) / (returns[-1] - random)
+    names = [task.name for task in family.tasks]
+
+    def per_task(values: NDArray[np.float64]) -> dict[str, float]:
+        return {name: round(float(value), 4) for name, value in zip(names, values, strict=True)}
+
+    return {
+        "random": per_task(random),
+        "rungs": [
+            {
+                "train_step": int(paths[i].stem),
+                "returns": per_task(returns[i]),
+                "levels": per_task(levels[i]),
+            }
+            for i in choose_rungs(levels, num_rungs)
+        ],
+    }
+
+
+def judge(
+    family: Family, weights: Weights | None, episodes: int, noise: float, seed: int, threads: int
+) -> NDArray[np.float64]:
+    """Mean return per task of a network, or of uniform actions where `weights` is None.
+
+    Plays `episodes` episodes of every task side by side, with Gaussian action noise.
+    Returns (num_tasks,) in the task's own reward.
+    """
+    tasks = [task for task in family.tasks for _ in range(episodes)]
+    keys = [
+        SeedKey(seed, family.id, task.index, Quality.PRETRAINING, 0, row)
+        for row, task in enumerate(tasks)
+    ]
+    env = LocomotionBatch(family, tasks, threads=threads)
+    goals = env.draw_goals(keys)
+    flat = np.array([goal[0] for goal in goals])
+    observations = env.reset(keys, goals)
+    generator = keys[0].generator(Stream.POLICY)
+    total, alive = np.zeros(len(tasks)), np.ones(len(tasks), dtype=bool)
+    for _ in range(family.horizon):
+        shape = (len(tasks), family.action_size)
+        if weights is None:
+            actions = generator.uniform(family.action_low, family.action_high, shape)
+        else:
+            inputs = network_inputs(family.robot, family.reward, observations, flat)
+            actions = network_actions(weights, inputs) + noise * generator.standard_normal(shape)
+        actions = np.clip(actions, family.action_low, family.action_high)
+        result = env.step(actions.astype(np.float32))
+        observations = result.observations
+        total += np.where(alive, result.rewards, 0.0)
+        alive &= ~result.terminations
+    return np.asarray(total.reshape(len(family.tasks), episodes).mean(axis=1))
+
+
+def choose_rungs(levels: NDArray[np.float64], num_rungs: int) -> list[int]:
+    """Snapshots that become rungs, ascending.
+
+    levels (S, K): normalised return of S snapshots on K tasks; the last one is final, so its
+    level is 1. Always contains the first, the last and, for as few snapshots as possible, one
+    within [0.4, 0.6] for every task (the nearest to 0.5 where none is); the rest is spread
+    evenly over the mean level.
+    """
+    num_snapshots = len(levels)
+    if num_snapshots <= num_rungs:
+        return list(range(num_snapshots))
+    distance = np.abs(levels - 0.5)
+    good = distance <= np.maximum(0.1, distance.min(axis=0))
+    chosen = {0, num_snapshots - 1}
+    missing = ~good[sorted(chosen)].any(axis=0)
+    while missing.any():
+        pick = int(good[:, missing].sum(axis=1).argmax())
+        chosen.add(pick)
+        missing &= ~good[pick]
+    mean = levels.mean(axis=1)
+    while len(chosen) < num_rungs:
+        chosen.add(_widest_gap(mean, chosen))
+    return sorted(chosen)
+
+
+def _widest_gap(mean: NDArray[np.float64], chosen: set[int]) -> int:
+    """The free snapshot nearest the middle of the widest gap between chosen mean levels.
+
+    A gap that no snapshot lies in stays a gap: learning may jump there.
+    """
+    free = [i for i in range(len(mean)) if i not in chosen]
+    ends = sorted(mean[i] for i in chosen)
+    gaps = sorted(itertools.pairwise(ends), key=lambda gap: gap[0] - gap[1])
+    for low, high in gaps:
+        inside = [i for i in free if low < mean[i] < high]
+        if inside:
+            return min(inside, key=lambda i: abs(mean[i] - (low + high) / 2))
+    return free[-1]  # nothing between: levels equal to those chosen, the latest is as good
