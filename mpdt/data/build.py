@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
-from mpdt.errors import DataError, FormatError, StorageError, UsageError
+from mpdt.errors import BusyError, DataError, FormatError, StorageError, UsageError
 
 # What the bytes of a block depend on beside the spec; parts of other versions never mix.
 PACKAGES = ("mpdt", "python", "numpy", "mujoco", "metaworld")
@@ -90,6 +90,8 @@ def collect(
         raise UsageError("a negative number of workers", found=str(workers))
     plan, folder = make_plan(spec), PartsFolder(target)
     if not restart and (finished := find_finished(plan, target)):
+        with suppress(BusyError, StorageError):
+            folder.discard()  # of a collector that was killed just before it would have
         return Collected(finished, is_new=False)
     policies = load_ladder(spec).policies(plan.tasks)
     check_space(plan, target)

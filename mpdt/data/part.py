@@ -114,7 +114,8 @@ class Part:
 
     def _load(self, *names: str) -> dict[str, npt.NDArray[Any]]:
         try:
-            with np.load(self.path, allow_pickle=False) as archive:
+            # Opened here: np.load leaks the file it opens if that is no archive.
+            with self.path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 data = {name: archive[name] for name in archive.files}
         except FileNotFoundError:
             raise self._damaged("no such part") from None

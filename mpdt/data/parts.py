@@ -12,7 +12,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -43,7 +43,6 @@ class PartsFolder:
         Raises: BusyError with the other collector's process id; StorageError.
         """
         with disk(self.path):
-            (self.path / "blocks").mkdir(parents=True, exist_ok=True)
             lock = self._take_lock()
         try:
             yield
@@ -53,7 +52,7 @@ class PartsFolder:
     def _take_lock(self) -> IO[str]:
         name = self.path / "collector.pid"
         while True:
-            self.path.mkdir(exist_ok=True)
+            (self.path / "blocks").mkdir(parents=True, exist_ok=True)
             lock = name.open("a+", encoding="ascii")
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -68,6 +67,7 @@ class PartsFolder:
                 ) from None
             # The folder may have been deleted by a collector that just finished.
             if name.exists() and os.fstat(lock.fileno()).st_ino == name.stat().st_ino:
+                (self.path / "blocks").mkdir(exist_ok=True)
                 lock.truncate(0)
                 lock.write(str(os.getpid()))
                 lock.flush()
@@ -108,9 +108,22 @@ class PartsFolder:
             (self.path / "blocks").mkdir()
             (self.path / "plan.json").unlink(missing_ok=True)
 
+    def discard(self) -> None:
+        """Delete the folder if there is one and nobody is at work in it. Raises: BusyError."""
+        if self.path.is_dir():
+            with self.locked():
+                self.delete()
+
     def delete(self) -> None:
-        """Delete the folder. A leftover is harmless, so failing to is no error."""
-        shutil.rmtree(self.path, ignore_errors=True)
+        """Delete the folder; the caller holds its lock. A leftover is harmless: no error.
+
+        The lock file goes last: whoever takes the next one finds the rest gone.
+        """
+        shutil.rmtree(self.path / "blocks", ignore_errors=True)
+        with suppress(OSError):
+            for name in ("plan.json", "collector.pid"):
+                (self.path / name).unlink(missing_ok=True)
+            self.path.rmdir()
 
 
 def changed_keys(old: Any, new: Any, path: str = "") -> list[str]:

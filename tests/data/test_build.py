@@ -1,0 +1,293 @@
+"""collect with the fake simulator: content by hand, resume, refusals, quality check, cleanliness.
+
+tiny: 2 tasks, horizon 5, block 3, 4 episodes of each quality, 3 rungs, 2 TTA, 2 of zero action.
+Blocks per task: random 3+1, medium 3+1, expert 3+1, history rungs 2+1+1, tta 2, ref_zero 2 = 11.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from mpdt.data import build
+from mpdt.data.build import Progress, collect, find_finished
+from mpdt.data.parts import PartsFolder
+from mpdt.data.plan import make_plan
+from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts
+from mpdt.data.spec.entry import smoke as smoke_of
+from mpdt.data.store.reader import open_dataset, open_tta_rewards
+from mpdt.errors import BusyError, DataError, StorageError, UsageError
+from mpdt.seeding import SeedKey
+
+Fakes = Callable[..., None]
+
+
+def test_the_file_holds_what_the_spec_asked_for(tiny_file: Path) -> None:
+    data = open_dataset(tiny_file)
+    assert (data.name, data.version, data.family) == ("tiny", "1.0.0", "cheetah_dir")
+    assert data.num_episodes == 2 * 4 * 4
+    assert data.num_steps == 32 * 5
+    # Canonical order: task, quality, block, row.
+    assert data.episodes.task.tolist() == [0] * 16 + [1] * 16
+    assert data.episodes.quality.tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3] * 2
+    assert data.episodes.seed_key[4:8].tolist() == [
+        [0, 0, 1, 0, 0], [0, 0, 1, 0, 1], [0, 0, 1, 0, 2], [0, 0, 1, 1, 0],
+    ]  # fmt: skip
+    # expert acts goal and is paid goal * action: 5 steps of 1; medium half of it
+    assert data.episodes.returns[8:12].tolist() == [5.0] * 4
+    assert data.episodes.returns[20:24].tolist() == [2.5] * 4
+    # history: two episodes of rung 0, one of rung 1 and 2
+    assert data.episodes.progress[12:16].tolist() == [0.0, 0.0, 0.5, 1.0]
+    assert data.episodes.returns[12:16].tolist() == [0.0, 0.0, 2.5, 5.0]
+
+
+def test_observations_come_from_the_seed_key(tiny_file: Path) -> None:
+    episode = open_dataset(tiny_file).episode(21)
+    assert episode.seed_key == (0, 1, 1, 0, 1)
+    seed = SeedKey(7, 0, 1, 1, 0, 1).env_seed()
+    first = np.random.default_rng(seed).normal(size=20).astype(np.float32)
+    assert episode.observations[0].tobytes() == first.tobytes()
+
+
+def test_references_are_means_of_their_policies(tiny_file: Path) -> None:
+    data = open_dataset(tiny_file)
+    assert data.tasks.ref_zero.tolist() == [0.0, 0.0]
+    assert data.tasks.ref_expert.tolist() == [5.0, 5.0]
+    random = data.episodes.returns[0:4].mean()
+    assert data.tasks.ref_random[0] == random
+    assert abs(random) < 1
+
+
+def test_references_that_are_not_stored_are_run(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
+) -> None:
+    spec = msgspec.structs.replace(tiny_spec, episodes=EpisodeCounts(medium=2))
+    data = collect(spec, tmp_path / "x.h5", workers=0).dataset
+    assert data.num_episodes == 4
+    assert data.tasks.ref_expert.tolist() == [5.0, 5.0]
+    assert np.isfinite(data.tasks.ref_random).all()
+    assert data.tasks.ref_random[0] != 0
+
+
+def test_tta_set_is_apart_and_unlabelled(tiny_file: Path) -> None:
+    tta = open_dataset(tiny_file).tta["default"]
+    assert tta.task.tolist() == [0, 0, 1, 1]
+    assert tta.seed_key[:, 2].tolist() == [4] * 4
+    assert tta.preset_return.tolist() == [1500.0] * 4  # the family's fixed target
+    assert tta.rule == {"low": -1.0, "high": 1.0, "action_scale": 1.0, "horizon": 5}
+    rewards, successes = open_tta_rewards(tiny_file, "default")
+    assert successes is None
+    paid = tta.actions[:5].astype(np.float64).mean(axis=1)  # goal +1 pays the mean action
+    assert rewards[:5].tobytes() == paid.astype(np.float32).tobytes()
+
+
+def test_wide_tta_actions_are_stored_as_drawn(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
+) -> None:
+    rule = msgspec.structs.replace(tiny_spec.tta["default"], action_scale=3.0, horizon=4)
+    spec = msgspec.structs.replace(tiny_spec, tta={"wide": rule})
+    tta = collect(spec, tmp_path / "x.h5", workers=0).dataset.tta["wide"]
+    assert 1.5 < np.abs(tta.actions).max() <= 3.0
+    assert tta.length.tolist() == [4] * 4
+
+
+def test_standard_slices_and_stats(tiny_file: Path) -> None:
+    data = open_dataset(tiny_file)
+    assert data.slices["expert"].tolist() == [8, 9, 10, 11, 24, 25, 26, 27]
+    assert data.slices["train"].tolist() == data.slices["test"].tolist() == list(range(32))
+    assert data.stats_info is not None and data.stats_info.tasks_seen == (0, 1)
+    assert data.stats["actions"]["count"].tolist() == [160.0] * 6
+
+
+def test_parts_are_gone_and_nothing_else_is_left(tiny_file: Path, workplace: Path) -> None:
+    assert sorted(path.name for path in workplace.iterdir()) == ["datasets.yaml", "tiny.h5"]
+
+
+def test_a_finished_file_is_left_alone(
+    tiny_file: Path, tiny_spec: DatasetSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(build, "map_blocks", None)  # would fail if anything were run
+    before = tiny_file.stat().st_mtime_ns
+    done = collect(tiny_spec, tiny_file, workers=0)
+    assert not done.is_new
+    assert tiny_file.stat().st_mtime_ns == before
+
+
+def test_leftover_parts_of_a_finished_file_are_cleared(
+    tiny_file: Path, tiny_spec: DatasetSpec
+) -> None:
+    folder = PartsFolder(tiny_file)
+    (folder.path / "blocks").mkdir(parents=True)
+    collect(tiny_spec, tiny_file, workers=0)
+    assert not folder.path.exists()
+
+
+def test_restart_makes_the_same_content_again(tiny_file: Path, tiny_spec: DatasetSpec) -> None:
+    before = open_dataset(tiny_file).content_hash
+    done = collect(tiny_spec, tiny_file, workers=0, restart=True)
+    assert done.is_new
+    assert done.dataset.content_hash == before
+
+
+def test_another_seed_gives_another_hash(
+    fakes: Fakes, tiny_file: Path, tiny_spec: DatasetSpec, tmp_path: Path
+) -> None:
+    spec = msgspec.structs.replace(tiny_spec, seed=8)
+    other = collect(spec, tmp_path / "other.h5", workers=0).dataset
+    assert other.content_hash != open_dataset(tiny_file).content_hash
+
+
+def test_another_spec_is_refused_with_its_keys(tiny_file: Path, tiny_spec: DatasetSpec) -> None:
+    before = tiny_file.read_bytes()
+    spec = msgspec.structs.replace(tiny_spec, version="1.1.0", block=2)
+    with pytest.raises(DataError, match=r'block 3 -> 2; version "1\.0\.0" -> "1\.1\.0"') as caught:
+        collect(spec, tiny_file, workers=0)
+    assert "--restart" in caught.value.hint
+    assert caught.value.exit_code == 1
+    assert tiny_file.read_bytes() == before
+    assert collect(spec, tiny_file, workers=0, restart=True).dataset.version == "1.1.0"
+
+
+def test_a_foreign_target_is_refused(fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path) -> None:
+    target = tmp_path / "notes.h5"
+    target.write_text("precious")
+    with pytest.raises(DataError, match="not an HDF5 file"):
+        collect(tiny_spec, target, workers=0)
+    assert target.read_text() == "precious"
+
+
+def interrupt_after(blocks: int) -> Callable[[Progress], None]:
+    def tell(progress: Progress) -> None:
+        if progress.done_blocks - progress.resumed_blocks == blocks:
+            raise KeyboardInterrupt
+
+    return tell
+
+
+def test_an_interrupted_collection_goes_on(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
+) -> None:
+    whole = collect(tiny_spec, tmp_path / "whole.h5", workers=0).dataset
+    target = tmp_path / "x.h5"
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            collect(tiny_spec, target, workers=0, on_progress=interrupt_after(5))
+    assert not target.exists()
+    parts = sorted((PartsFolder(target).path / "blocks").iterdir())
+    assert len(parts) == 10
+    parts[3].write_bytes(parts[3].read_bytes()[:-50])
+    seen: list[Progress] = []
+    done = collect(tiny_spec, target, workers=0, on_progress=seen.append)
+    assert (seen[0].resumed_blocks, seen[0].damaged_blocks, seen[0].num_blocks) == (9, 1, 22)
+    assert len(seen) == 1 + 22 - 9
+    assert seen[-1].done_steps == seen[-1].num_steps == 2 * 20 * 5
+    assert done.resumed_blocks == 9
+    assert done.dataset.content_hash == whole.content_hash
+    assert done.dataset.tasks.ref_random.tolist() == whole.tasks.ref_random.tolist()
+    assert done.dataset.tta["default"].content_hash == whole.tta["default"].content_hash
+
+
+def test_parts_of_another_spec_are_refused(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
+) -> None:
+    target = tmp_path / "x.h5"
+    with pytest.raises(KeyboardInterrupt):
+        collect(tiny_spec, target, workers=0, on_progress=interrupt_after(5))
+    other = msgspec.structs.replace(tiny_spec, horizon=6)
+    with pytest.raises(DataError, match="horizon 5 -> 6"):
+        collect(other, target, workers=0)
+    assert collect(other, target, workers=0, restart=True).dataset.num_steps == 32 * 6
+
+
+def test_parts_of_another_mujoco_are_refused(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "x.h5"
+    with pytest.raises(KeyboardInterrupt):
+        collect(tiny_spec, target, workers=0, on_progress=interrupt_after(1))
+    real = build.provenance.packages()
+    monkeypatch.setattr(build.provenance, "packages", lambda: real | {"mujoco": "9.9.9"})
+    with pytest.raises(DataError, match=r'packages\.mujoco .* -> "9\.9\.9"'):
+        collect(tiny_spec, target, workers=0)
+
+
+@pytest.mark.parametrize(("medium", "text"), [(0.9, "level 0.9"), (1.2, "not between")])
+def test_qualities_out_of_order_write_nothing_and_keep_the_parts(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path, medium: float, text: str
+) -> None:
+    fakes(medium)
+    # rung 1 of history is the same policy, so only `medium` is at fault
+    with pytest.raises(DataError, match=text) as caught:
+        collect(tiny_spec, tmp_path / "x.h5", workers=0)
+    assert "forward" in str(caught.value) and "backward" in str(caught.value)
+    assert caught.value.exit_code == 1
+    assert not (tmp_path / "x.h5").exists()
+    assert len(list((tmp_path / "x.h5.parts" / "blocks").iterdir())) == 22
+
+
+def test_a_smoke_version_only_warns(fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path) -> None:
+    fakes(0.9)
+    done = collect(smoke_of(tiny_spec), tmp_path / "x.h5", workers=0)
+    assert len(done.warnings) == 2
+    assert "forward: medium" in done.warnings[0]
+
+
+def test_a_second_collector_is_refused(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
+) -> None:
+    target = tmp_path / "x.h5"
+    with PartsFolder(target).locked(), pytest.raises(BusyError, match=str(os.getpid())) as caught:
+        collect(tiny_spec, target, workers=0)
+    assert caught.value.exit_code == 4
+
+
+def test_too_little_room_stops_before_anything_is_written(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
+    with pytest.raises(StorageError, match="not enough room"):
+        collect(tiny_spec, tmp_path / "x.h5", workers=0)
+    assert not (tmp_path / "x.h5.parts").exists()
+
+
+def test_a_missing_folder_is_an_error_not_a_new_folder(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
+) -> None:
+    with pytest.raises(StorageError, match="does not exist"):
+        collect(tiny_spec, tmp_path / "no" / "x.h5", workers=0)
+    assert not (tmp_path / "no").exists()
+
+
+def test_negative_workers(fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="negative"):
+        collect(tiny_spec, tmp_path / "x.h5", workers=-1)
+
+
+def test_a_cut_out_is_not_the_finished_file(tiny_file: Path, tiny_spec: DatasetSpec) -> None:
+    from mpdt.data.slices.cut import Cut, cut_file
+
+    target = tiny_file.with_name("cut.h5")
+    cut_file(open_dataset(tiny_file), Cut(quality="expert"), target)
+    with pytest.raises(DataError, match="cut out"):
+        find_finished(make_plan(tiny_spec), target)
+
+
+def test_no_global_generator_is_touched(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
+) -> None:
+    import random
+
+    def state() -> Any:
+        return random.getstate(), np.random.get_state()[1].tobytes()  # noqa: NPY002
+
+    before = state()
+    collect(tiny_spec, tmp_path / "x.h5", workers=0)
+    assert state() == before

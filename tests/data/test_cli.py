@@ -1,0 +1,268 @@
+"""mpdt-data as users type it: exit codes, one clear error, results on stdout, talk on stderr."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mpdt.data.cli import VERBS, main
+from mpdt.data.parts import PartsFolder
+from mpdt.data.store.reader import open_dataset
+
+SCRIPT = Path(__file__).with_name("fake_sim.py")
+Capture = pytest.CaptureFixture[str]
+
+
+def code_of(*words: str) -> int:
+    """Exit code of main, whether it returns it or tyro raises it."""
+    try:
+        return main(words)
+    except SystemExit as stop:
+        return int(stop.code or 0)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (("colect", "tiny"), 2, "unknown verb 'colect' (did you mean 'collect'?)"),
+        (("collect", "tinny"), 2, "unknown dataset 'tinny' (did you mean 'tiny'?)"),
+        (("collect", "tiny", "--tasks", "forwrd"), 2, "did you mean 'forward'"),
+        (("collect", "tiny", "-o", "no/x.h5"), 1, "the folder does not exist"),
+        (("collect",), 2, "NAME"),
+        (("collect", "tiny", "--worker", "1"), 2, "--workers"),
+        (("show", "nope.h5"), 2, "mpdt-data collect nope"),
+        (("show", "datasets.yaml"), 1, "not an HDF5 file"),
+        (("split", "--quality", "medium"), 2, "no dataset file here"),
+        (("split", "--tasks", "forward", "tiny.h5"), 2, "put FILE before --tasks"),
+        (("split", "--train", "--test"), 2, "--train and --test together"),
+        (("list", "--dir", "nowhere"), 2, "no such folder"),
+        ((), 2, "subcommand"),
+    ],
+)
+def test_mistakes_are_one_clear_error(
+    fakes: Callable[..., None], workplace: Path, capsys: Capture, words: tuple[str, ...],
+    code: int, text: str,
+) -> None:  # fmt: skip
+    assert code_of(*words) == code
+    captured = capsys.readouterr()
+    assert text in captured.err
+    assert "Traceback" not in captured.err
+    assert captured.out == ""
+    assert [path.name for path in workplace.iterdir()] == ["datasets.yaml"]
+
+
+def test_verbose_shows_the_traceback(workplace: Path, capsys: Capture) -> None:
+    assert code_of("show", "nope.h5", "-v") == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", [None, *VERBS])
+def test_help_has_three_examples(verb: str | None, capsys: Capture) -> None:
+    words = ["-h"] if verb is None else [verb, "-h"]
+    assert code_of(*words) == 0
+    examples = re.findall(r"^  (mpdt-data \S.*)$", capsys.readouterr().out, re.MULTILINE)
+    assert len(examples) == 3
+    assert verb is None or all(line.split()[1] == verb for line in examples)
+
+
+def test_help_imports_no_numbers() -> None:
+    code = (
+        "import sys\nfrom mpdt.data.cli import main\n"
+        "try:\n    main(['collect', '-h'])\nexcept SystemExit:\n    pass\n"
+        "print({'numpy', 'h5py', 'mujoco', 'msgspec', 'rich'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
+def test_version(capsys: Capture) -> None:
+    assert code_of("--version") == 0
+    assert re.fullmatch(r"mpdt \d+\.\d+\.\d+\S*\n", capsys.readouterr().out)
+
+
+def test_collect_prints_result_and_nothing_to_do(
+    fakes: Callable[..., None], workplace: Path, capsys: Capture
+) -> None:
+    assert code_of("collect", "tiny", "--workers", "0") == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("packed  tiny.h5   32 episodes   ")
+    assert re.search(r"forward +both +16 +0\.0 ", out)
+    assert "22/22 blocks  200 steps" in err
+    assert code_of("collect", "tiny", "--workers", "0", "-q") == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("nothing to do: complete  tiny.h5")
+    assert err == ""
+
+
+def test_collect_as_json(fakes: Callable[..., None], workplace: Path, capsys: Capture) -> None:
+    assert code_of("collect", "tiny", "--workers", "0", "--json", "--tasks", "1") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["is_new"] is True
+    assert [task["name"] for task in found["tasks"]] == ["backward"]
+    assert found["tasks"][0]["returns"]["expert"] == 5.0
+    assert found["content_hash"] == open_dataset("tiny.h5").content_hash
+
+
+def test_dry_run_and_plan_write_nothing(workplace: Path, capsys: Capture) -> None:
+    for words in (("plan", "tiny"), ("collect", "tiny", "--dry-run")):
+        assert code_of(*words, "--json", "--workers", "2") == 0
+        found = json.loads(capsys.readouterr().out)
+        assert (found["blocks"], found["episodes"], found["tta_episodes"]) == (22, 32, 4)
+        assert (found["steps"], found["target"]) == (200, "tiny.h5")
+    assert code_of("plan", "tiny", "--smoke") == 0
+    assert "tiny-smoke 1.0.0+smoke" in capsys.readouterr().out
+    assert [path.name for path in workplace.iterdir()] == ["datasets.yaml"]
+
+
+def test_another_spec_tells_what_changed(tiny_file: Path, workplace: Path, capsys: Capture) -> None:
+    text = (workplace / "datasets.yaml").read_text()
+    (workplace / "datasets.yaml").write_text(text.replace("expert: 4", "expert: 5"))
+    assert code_of("collect", "tiny") == 1
+    err = capsys.readouterr().err
+    assert "episodes.expert 4 -> 5" in err
+    assert "--restart" in err
+
+
+def test_list_show_split_and_info(tiny_file: Path, workplace: Path, capsys: Capture) -> None:
+    def run(*words: str) -> str:
+        assert code_of(*words) == 0
+        return capsys.readouterr().out
+
+    assert run("split", "--quality", "medium").startswith("tiny-medium.h5   8 episodes   40 steps")
+    (workplace / "bad.h5").write_text("x")
+    rows = {row["file"]: row for row in json.loads(run("list", "--json"))["rows"]}
+    assert {name: row["state"] for name, row in rows.items()} == {
+        "tiny.h5": "ok", "tiny-medium.h5": "cut-out", "bad.h5": "damaged: not an HDF5 file",
+    }  # fmt: skip
+    assert "tiny-medium.h5" in run("list")
+    shown = json.loads(run("show", "tiny.h5:expert", "--json", "--episodes", "2"))
+    assert (shown["episodes"], [one["id"] for one in shown["listed"]]) == (8, [8, 9])
+    assert shown["listed"][0]["return"] == 5.0
+    text = run("show", "tiny.h5", "--tasks", "backward", "--episodes", "1")
+    assert "backward" in text and not re.search(r"^forward ", text, re.MULTILINE)
+    assert "0/1/0/0/0" in text
+    assert "/steps/observations" in run("show", "tiny.h5", "--schema")
+    assert run("split", "tiny.h5", "--quality", "expert", "--name", "best").startswith(
+        "tiny.h5:best"
+    )
+    assert json.loads(run("info", "--json"))["packages"]["mujoco"]
+
+
+def start(workplace: Path, *words: str, **variables: str) -> subprocess.Popen[str]:
+    """mpdt-data with the fake simulator in a session of its own, as a shell would start it."""
+    return subprocess.Popen(
+        [sys.executable, str(SCRIPT), *words],
+        cwd=workplace, env=os.environ | variables, text=True, start_new_session=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+
+
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def parts_done(target: Path) -> int:
+    return len(list((PartsFolder(target).path / "blocks").glob("*.npz")))
+
+
+def test_workers_kills_and_resumes_give_one_hash(collected: Path, workplace: Path) -> None:
+    """0 workers (the fixture), 2 killed by SIGKILL, then 1 for the rest."""
+    target = workplace / "tiny.h5"
+    killed = start(workplace, "collect", "tiny", "--workers", "2", FAKE_DELAY_S="0.1")
+    wait_for(lambda: parts_done(target) >= 4, killed)
+    killed.kill()
+    killed.communicate()
+    assert not target.exists()
+    left = parts_done(target)
+    assert 4 <= left < 22
+    rest = start(workplace, "collect", "tiny", "--workers", "1")
+    out, err = rest.communicate(timeout=60)
+    assert rest.returncode == 0, err
+    found = re.search(r"resuming: (\d+) of 22 blocks done, 0 damaged", err)
+    assert found is not None and int(found[1]) >= left
+    assert open_dataset(target).content_hash == open_dataset(collected).content_hash
+    assert out.startswith("packed  tiny.h5   32 episodes")
+    assert sorted(path.name for path in workplace.iterdir()) == ["datasets.yaml", "tiny.h5"]
+
+
+def test_a_second_collector_exits_with_4(workplace: Path) -> None:
+    target = workplace / "tiny.h5"
+    first = start(workplace, "collect", "tiny", "--workers", "1", FAKE_DELAY_S="600")
+    wait_for((PartsFolder(target).path / "plan.json").exists, first)
+    second = start(workplace, "collect", "tiny", "--workers", "1")
+    err = second.communicate(timeout=60)[1]
+    assert second.returncode == 4
+    assert f"process {first.pid}" in err
+    first.kill()
+    first.communicate()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupts_print_how_to_go_on(workplace: Path, number: int, code: int) -> None:
+    """Ctrl-C goes to the whole group, workers included; SIGTERM to the collector alone."""
+    target = workplace / "tiny.h5"
+    words = ("collect", "tiny", "--workers", "2", "--restart")
+    process = start(workplace, *words, FAKE_DELAY_S="0.2")
+    wait_for(lambda: parts_done(target) >= 2, process)
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)
+    else:
+        process.send_signal(number)
+    err = process.communicate(timeout=30)[1]
+    assert process.returncode == code
+    assert "interrupted; go on with: mpdt-data collect tiny --workers 2\n" in err
+    assert "Traceback" not in err
+    assert parts_done(target) >= 2
+    assert not target.exists()
+    with PartsFolder(target).locked():
+        pass  # released
+
+
+def test_a_kill_during_the_pack_keeps_the_old_file(tiny_file: Path, workplace: Path) -> None:
+    before = tiny_file.read_bytes()
+    words = ("collect", "tiny", "--workers", "1", "--restart")
+    process = start(workplace, *words, FAKE_HANG_IN_PACK="1")
+    wait_for((workplace / "packing").exists, process)
+    process.kill()
+    process.communicate()
+    assert tiny_file.read_bytes() == before
+    rest = start(workplace, *words[:-1])
+    assert "nothing to do" in rest.communicate(timeout=60)[0]
+
+
+def test_progress_counts_only_what_this_run_did() -> None:
+    from mpdt.data.build import Progress
+    from mpdt.data.verbs.progress import line_writer
+
+    now = [100.0]
+    lines: list[str] = []
+    tell = line_writer(lines.append, clock=lambda: now[0])
+
+    def progress(blocks: int, last: bool = True) -> None:
+        block = type("B", (), {"label": f"b{blocks}"})() if last else None
+        tell(Progress(10, 1000, blocks, 100 * blocks, 2, 200, 0, block))
+
+    progress(2, last=False)
+    now[0] += 4
+    progress(3)  # too early for a line
+    now[0] += 6
+    progress(4)  # 10 s in: 200 steps of our own, 20 steps/s, 600 left = 30 s
+    progress(10)  # the end always has one
+    assert lines == [
+        "resuming: 2 of 10 blocks done, 0 damaged",
+        "collect  4/10 blocks  400 steps  0.0k steps/s  eta 0:00:30  b4",
+        "collect  10/10 blocks  1,000 steps  0.1k steps/s  eta 0:00:00  b10",
+    ]
