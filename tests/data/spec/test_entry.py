@@ -52,8 +52,8 @@ def test_spec_hash_is_of_the_canonical_json():
 
 def test_tasks_resolve_in_family_order_without_repeats():
     assert [t.name for t in SPEC.resolve_tasks()] == ["forward", "backward"]
-    picked = changed(family="cheetah_vel", tasks=(9, "v0.075", 0))
-    assert [t.index for t in picked.resolve_tasks()] == [0, 9]
+    picked = changed(family="cheetah_vel", tasks=(39, 9, "v0.075", 0, 31, 17, 5, 22, 38))
+    assert [t.index for t in picked.resolve_tasks()] == [0, 5, 9, 17, 22, 31, 38, 39]
 
 
 def test_smoke_is_small_and_has_another_identity():

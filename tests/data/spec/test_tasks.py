@@ -70,6 +70,8 @@ def test_ant_angles():
     assert (tasks[0].goal[0], tasks[49].goal[0]) == (1.20336059, 0.18319881)
     assert tasks[8].goal == (5.94190270,)
     assert tasks[33].goal == (0.99876725,)
+    # Sum of (index + 1) * 1e8 * angle over the published list: every digit and its place count.
+    assert sum(round(t.goal[0] * 1e8) * (t.index + 1) for t in tasks) == 411898905960
 
 
 def test_metaworld_splits():

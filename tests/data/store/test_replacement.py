@@ -3,7 +3,7 @@ import errno
 import pytest
 
 from mpdt.data.store.replacement import disk, replacing
-from mpdt.errors import DataError, StorageError
+from mpdt.errors import DataError, MissingFileError, StorageError
 
 
 def test_the_new_content_arrives_on_a_clean_exit_only(tmp_path):
@@ -45,5 +45,7 @@ def test_what_disks_say_becomes_one_error(tmp_path, error, what):
 
 
 def test_our_own_errors_pass_through(tmp_path):
-    with pytest.raises(DataError, match="mine"), disk(tmp_path):
-        raise DataError("mine")
+    # MissingFileError is an OSError too and would be told twice.
+    for error in (DataError("mine"), MissingFileError("mine")):
+        with pytest.raises(type(error), match=r"^mine$"), disk(tmp_path):
+            raise error

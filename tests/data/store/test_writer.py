@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import resource
 from dataclasses import fields, replace
 
@@ -9,6 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
+from mpdt.data.store import writer
+from mpdt.data.store.columns import StepTable
 from mpdt.data.store.digest import episode_digest
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.tables import Additions, Slice, Stats
@@ -107,6 +110,14 @@ def test_goals_of_different_sizes_are_padded(tmp_path, kit):
     assert made.goals.dims.tolist() == [0, 2, 2]
     for i, episode in enumerate(episodes):
         assert_same(made.episode(i), episode)
+
+
+def test_a_goal_belongs_to_its_task(tmp_path, kit):
+    same = np.array([1.0])
+    episodes = (replace(kit.episode(1), goal=same), replace(kit.episode(1, task=1), goal=same))
+    made = write_file(tmp_path / "a.h5", kit.header, kit.source(episodes))
+    assert made.goals.tasks.tolist() == [0, 1]
+    assert made.episodes.goal.tolist() == [0, 1]
 
 
 def test_successes_are_kept_per_step(tmp_path, kit):
@@ -249,6 +260,31 @@ def test_a_full_disk_is_one_clean_error(made, kit):
     assert "make room" in caught.value.hint
     assert made.path.read_bytes() == before
     assert [path.name for path in made.path.parent.iterdir()] == ["hand-made.h5"]
+
+
+def test_a_full_disk_is_known_before_the_first_episode(tmp_path, kit, monkeypatch):
+    def refuse(path, num_bytes):
+        raise OSError(errno.ENOSPC, f"No space left for {num_bytes} bytes")
+
+    def episodes():
+        raise AssertionError("asked for an episode although there is no room")
+        yield
+
+    monkeypatch.setattr(writer, "reserve", refuse)
+    with pytest.raises(StorageError, match="the disk is full"):
+        write_file(tmp_path / "a.h5", kit.header, EpisodeSource(episodes(), 4, 7))
+
+
+def test_what_was_written_is_read_back(made, kit, monkeypatch):
+    append = StepTable.append
+
+    def bad_disk(self, episode, task_row, goal_row):
+        append(self, replace(episode, rewards=episode.rewards + 1), task_row, goal_row)
+
+    monkeypatch.setattr(StepTable, "append", bad_disk)
+    with pytest.raises(FormatError, match="4 episodes do not have their digest"):
+        write_file(made.path, kit.header, kit.source())
+    assert made.content_hash == open_dataset(made.path).content_hash
 
 
 def test_a_folder_that_takes_no_files(tmp_path, kit):
