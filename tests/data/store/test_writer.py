@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import errno
-import resource
 from dataclasses import fields, replace
 
 import h5py
 import numpy as np
 import pytest
 
-from mpdt.data.store import writer
-from mpdt.data.store.columns import StepTable
 from mpdt.data.store.digest import episode_digest
-from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.tables import Additions, Slice, Stats
-from mpdt.data.store.writer import EpisodeSource, check_digests, write_file
-from mpdt.errors import DataError, FormatError, ShapeError, StorageError, UsageError
+from mpdt.data.store.writer import EpisodeSource, write_file
+from mpdt.errors import DataError, ShapeError, UsageError
 
 STATS = ("count", "mean", "std", "min", "max", "q01", "q10", "q50", "q90", "q99")
 
@@ -232,83 +227,3 @@ def test_strangers_are_refused(tmp_path, kit):
         write_file(target, kit.header, kit.source(),
                    finish=lambda _: Additions({"s": Slice(np.array([2, 1]), {})}))  # fmt: skip
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_failing_source_leaves_the_old_file(made, kit):
-    before = made.path.read_bytes()
-
-    def broken():
-        yield kit.episodes[0]
-        raise RuntimeError("the simulator fell over")
-
-    with pytest.raises(RuntimeError, match="fell over"):
-        write_file(made.path, kit.header, EpisodeSource(broken(), 4, 7))
-    assert made.path.read_bytes() == before
-    assert [path.name for path in made.path.parent.iterdir()] == ["hand-made.h5"]
-
-
-def test_a_full_disk_is_one_clean_error(made, kit):
-    before = made.path.read_bytes()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    long = kit.episode(100_000)  # 2 MB of steps against 1 MB of room
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, hard))
-        with pytest.raises(StorageError, match=r"hand-made\.h5: the disk is full") as caught:
-            write_file(made.path, kit.header, kit.source((long,)))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert "make room" in caught.value.hint
-    assert made.path.read_bytes() == before
-    assert [path.name for path in made.path.parent.iterdir()] == ["hand-made.h5"]
-
-
-def test_a_full_disk_is_known_before_the_first_episode(tmp_path, kit, monkeypatch):
-    def refuse(path, num_bytes):
-        raise OSError(errno.ENOSPC, f"No space left for {num_bytes} bytes")
-
-    def episodes():
-        raise AssertionError("asked for an episode although there is no room")
-        yield
-
-    monkeypatch.setattr(writer, "reserve", refuse)
-    with pytest.raises(StorageError, match="the disk is full"):
-        write_file(tmp_path / "a.h5", kit.header, EpisodeSource(episodes(), 4, 7))
-
-
-def test_what_was_written_is_read_back(made, kit, monkeypatch):
-    append = StepTable.append
-
-    def bad_disk(self, episode, task_row, goal_row):
-        append(self, replace(episode, rewards=episode.rewards + 1), task_row, goal_row)
-
-    monkeypatch.setattr(StepTable, "append", bad_disk)
-    with pytest.raises(FormatError, match="4 episodes do not have their digest"):
-        write_file(made.path, kit.header, kit.source())
-    assert made.content_hash == open_dataset(made.path).content_hash
-
-
-def test_a_folder_that_takes_no_files(tmp_path, kit):
-    with pytest.raises(StorageError, match="folder does not exist"):
-        write_file(tmp_path / "no" / "a.h5", kit.header, kit.source())
-    (tmp_path / "a.h5.tmp").mkdir()  # in the way, as a read-only folder would be
-    with pytest.raises(StorageError, match=r"a\.h5: cannot be written"):
-        write_file(tmp_path / "a.h5", kit.header, kit.source())
-    (tmp_path / "b.h5").mkdir()
-    with pytest.raises(StorageError, match="a folder is in the way"):
-        write_file(tmp_path / "b.h5", kit.header, kit.source())
-
-
-def test_open_readers_keep_the_old_episodes(made, kit):
-    write_file(made.path, kit.header, kit.source(kit.episodes[2:]))
-    assert made.episode(0).observations.tolist() == [[100, 101], [102, 103]]
-    assert open_dataset(made.path).num_episodes == 2
-
-
-def test_a_flipped_bit_is_found(made):
-    with made.path.open("r+b") as stream:
-        raw = stream.read()
-        stream.seek(raw.index(np.array([200, 201, 202], np.float32).tobytes()))
-        stream.write(np.float32(200.5).tobytes())
-    with pytest.raises(FormatError, match=r"1 episodes do not have their digest; found episodes "
-                                          r"\[1\]"):  # fmt: skip
-        check_digests(open_dataset(made.path))
