@@ -137,7 +137,11 @@ def test_without_adaptation_and_teacher(medium_file, tmp_path, capsys):
         (["--data", "nowhere.h5"], 2, "hint:  mpdt-data collect nowhere"),
         (["--data", "FILE", "--preset", "smoek"], 2, "(did you mean 'smoke'?)"),
         (["--data", "FILE", "--quality", "exprt"], 2, "(did you mean 'expert'?)"),
-        (["--data", "FILE", "--backbone.name", "random:tinny", *QUICK], 2, "(did you mean 'tiny'?)"),
+        (
+            ["--data", "FILE", "--backbone.name", "random:tinny", *QUICK],
+            2,
+            "(did you mean 'tiny'?)",
+        ),
         (["--data", "FILE:fw"], 2, "(did you mean 'few'?)"),
         (["--data", "FILE", "--name", "../x"], 2, "cannot name a run"),
         (["--data", "FILE", "--adapt.set", "defalt"], 2, "(did you mean 'default'?)"),

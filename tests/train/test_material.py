@@ -4,6 +4,9 @@ Rewards of the tiny file are 1 + quality code at every step: expert 3, medium 2,
 Lengths of task 0: rows 0..3 -> 6 7 8 9; of task 1: 7 8 9 6.
 """
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from mpdt.errors import DataError, UsageError
@@ -69,3 +72,17 @@ def test_family_returns_are_the_published_ones(tiny_file):
     table = return_table(load_material(str(tiny_file), "expert"), "family", quantile=0.5)
     assert table.target.tolist() == [1500.0, 1500.0]
     assert table.scale.tolist() == [1000.0, 1000.0] and table.high.tolist() == [27.0, 27.0]
+
+
+def test_a_negative_family_is_asked_for_what_a_first_step_showed(tiny_file):
+    """Rewards -3 a step: episode returns -18 -21 -24 -27. The largest return-to-go is -3, the
+    one of a last step; asking for it at the first step is the trap."""
+    material = load_material(str(tiny_file), "expert")
+    steps = SimpleNamespace(rewards=-np.asarray(material.dataset.steps.rewards))
+    negative = SimpleNamespace(
+        dataset=SimpleNamespace(steps=steps, episodes=material.dataset.episodes),
+        train_rows=(0,), episode_ids=material.episode_ids, family=material.family,
+    )  # fmt: skip
+    table = return_table(negative, "task", quantile=1.0)
+    assert (table.low.item(), table.high.item(), table.target.item()) == (-27.0, -3.0, -18.0)
+    assert table.scale.item() == 27.0

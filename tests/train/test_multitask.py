@@ -164,3 +164,16 @@ def test_resuming_cuts_the_log_and_another_phase_starts_at_zero(material, backbo
 def test_settings_out_of_range(wrong):
     with pytest.raises(UsageError, match=f"optimiser.{next(iter(wrong))}: setting out of range"):
         OptimiserSettings(**wrong)
+
+
+def test_the_loss_is_action_plus_weighted_distillation(material, backbone):
+    subject, seen = make_subject(material, backbone), []
+    prompts = TeacherPrompts(CONFIG.prompts, 2, backbone.width, 0.2)
+    teacher = Teacher(subject.policy, prompts, TeacherSettings(distillation="prompt"))
+    train(material, subject, 0, 1, lambda done, parts: seen.append(parts),
+          teacher=teacher, distillation_weight=0.5)  # fmt: skip
+    parts = seen[0]
+    assert parts["distillation_loss"] > 0
+    assert math.isclose(
+        parts["loss"], parts["action_loss"] + 0.5 * parts["distillation_loss"], rel_tol=1e-6
+    )
