@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import msgspec
@@ -24,6 +23,7 @@ from torch import Tensor, nn
 
 from mpdt.errors import BackboneError, ShapeError
 from mpdt.model.language import DtypeName, fingerprint, pick_dtype, read_language_model
+from mpdt.model.prefix import NO_PREFIX, PrefixCache
 
 
 class BackboneSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -39,32 +39,6 @@ class BackboneSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Seed of the weights of a random backbone, together with its depth."""
     frozen: bool = True
     """False trains every weight (baselines that train the whole model from scratch)."""
-
-
-@dataclass(frozen=True)
-class PrefixCache:
-    """Keys and values of soft prompts, per block (rows, key heads, l, head width)."""
-
-    keys: tuple[Tensor, ...]
-    values: tuple[Tensor, ...]
-    length: int
-
-    def repeat(self, times: int) -> PrefixCache:
-        """Row i becomes rows i*times … (i+1)*times - 1. Gradients add up over the copies."""
-        if times == 1:
-            return self
-        keys = tuple(k.repeat_interleave(times, dim=0) for k in self.keys)
-        values = tuple(v.repeat_interleave(times, dim=0) for v in self.values)
-        return PrefixCache(keys, values, self.length)
-
-    def select(self, rows: Tensor) -> PrefixCache:
-        """The cache of the given rows, in that order; rows may repeat."""
-        keys = tuple(k.index_select(0, rows) for k in self.keys)
-        values = tuple(v.index_select(0, rows) for v in self.values)
-        return PrefixCache(keys, values, self.length)
-
-
-NO_PREFIX = PrefixCache((), (), 0)
 
 
 class Backbone(nn.Module):
@@ -91,6 +65,9 @@ class Backbone(nn.Module):
             parameter.requires_grad_(not frozen)
         # Nothing looks words up here, so the table never gets a gradient.
         model.get_input_embeddings().weight.requires_grad_(False)
+        # Written-out attention: at some 50 keys it is 1.4 times faster through forward and
+        # backward in bfloat16 than the fused kernel, and as fast in float32.
+        model.set_attn_implementation("eager")
         self.model = model
         self.width = int(model.config.hidden_size)
         self.num_layers = int(model.config.num_hidden_layers)
@@ -120,13 +97,9 @@ class Backbone(nn.Module):
         if prompts is None or prompts.shape[1] == 0:
             return NO_PREFIX
         self._check_width(prompts, "prompts", 3)
-        from transformers import DynamicCache
-
-        cache = DynamicCache()
+        cache = NO_PREFIX.as_model_cache()
         self.model(inputs_embeds=prompts.to(self.dtype), past_key_values=cache, use_cache=True)
-        keys = tuple(layer.keys for layer in cache.layers)
-        values = tuple(layer.values for layer in cache.layers)
-        return PrefixCache(keys, values, prompts.shape[1])
+        return PrefixCache.of_model_cache(cache)
 
     def forward(
         self,
@@ -188,9 +161,9 @@ class Backbone(nn.Module):
         with _block_outputs(self._blocks(), layer_features) as outputs:
             result = self.model(
                 inputs_embeds=tokens.to(self.dtype),
-                attention_mask=_attention_mask(mask, length),
+                attention_mask=_additive(_visible(mask, length), self.dtype),
                 position_ids=_positions(mask, length),
-                past_key_values=_as_dynamic_cache(prefix),
+                past_key_values=prefix.as_model_cache(),
                 use_cache=length > 0,
             )
         hidden: Tensor = result.last_hidden_state
@@ -237,7 +210,12 @@ def from_settings(settings: BackboneSettings) -> Backbone:
     )
 
 
-def _attention_mask(mask_BK: Tensor, length: int) -> Tensor:
+def _additive(visible: Tensor, dtype: torch.dtype) -> Tensor:
+    """0 where a token may look, the most negative number where it may not."""
+    return torch.zeros(visible.shape, dtype=dtype).masked_fill(~visible, torch.finfo(dtype).min)
+
+
+def _visible(mask_BK: Tensor, length: int) -> Tensor:
     """Who may look at whom: (B, 1, K, l + K) bool, prompt columns first.
 
         pads 1, l = 1, K = 3      prompt | pad  a  b
@@ -258,23 +236,6 @@ def _attention_mask(mask_BK: Tensor, length: int) -> Tensor:
 def _positions(mask_BK: Tensor, length: int) -> Tensor:
     """Position of every token: the prompt, then the real tokens; pads take the first place."""
     return length + (mask_BK.long().cumsum(dim=-1) - 1).clamp(min=0)
-
-
-def _as_dynamic_cache(prefix: PrefixCache) -> Any:
-    """A cache object the model may grow, over the same tensors: growing concatenates anew."""
-    if prefix.length == 0:
-        return None
-    from transformers import DynamicCache
-    from transformers.cache_utils import DynamicLayer
-
-    cache = DynamicCache()
-    for keys, values in zip(prefix.keys, prefix.values, strict=True):
-        layer = DynamicLayer()
-        layer.keys, layer.values = keys, values
-        layer.dtype, layer.device = keys.dtype, keys.device
-        layer.is_initialized = True
-        cache.layers.append(layer)
-    return cache
 
 
 @contextmanager

@@ -15,7 +15,8 @@ from einops import repeat
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mpdt.model.backbone import Backbone, PrefixCache
+from mpdt.model.backbone import Backbone
+from mpdt.model.prefix import PrefixCache
 from mpdt.model.returns import ReturnTable
 from mpdt.model.tokens import InputMap, InputSettings
 from mpdt.model.weights import check_shapes

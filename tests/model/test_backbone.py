@@ -8,7 +8,7 @@ from einops import rearrange, repeat
 from torch import Tensor
 
 from mpdt.errors import BackboneError, ShapeError
-from mpdt.model.backbone import Backbone, _attention_mask, _positions, load_backbone
+from mpdt.model.backbone import Backbone, _positions, _visible, load_backbone
 
 from .conftest import left_padded, numbers
 
@@ -62,7 +62,7 @@ def test_mask_and_positions_worked_by_hand() -> None:
     mask = torch.tensor([[False, True, True]])
     # one prompt column; a pad sees the prompt and itself; nobody else sees the pad
     by_hand = [[1, 1, 0, 0], [1, 0, 1, 0], [1, 0, 1, 1]]
-    assert _attention_mask(mask, 1)[0, 0].int().tolist() == by_hand
+    assert _visible(mask, 1)[0, 0].int().tolist() == by_hand
     assert _positions(mask, 1).tolist() == [[1, 1, 2]]
     assert _positions(torch.ones(1, 3, dtype=torch.bool), 30).tolist() == [[30, 31, 32]]
 
