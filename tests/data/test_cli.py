@@ -263,6 +263,6 @@ def test_progress_counts_only_what_this_run_did() -> None:
     progress(10)  # the end always has one
     assert lines == [
         "resuming: 2 of 10 blocks done, 0 damaged",
-        "collect  4/10 blocks  400 steps  0.0k steps/s  eta 0:00:30  b4",
-        "collect  10/10 blocks  1,000 steps  0.1k steps/s  eta 0:00:00  b10",
+        "collect  4/10 blocks  400 steps  20 steps/s  eta 0:00:30  b4",
+        "collect  10/10 blocks  1,000 steps  80 steps/s  eta 0:00:00  b10",
     ]

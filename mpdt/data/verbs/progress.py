@@ -32,9 +32,13 @@ class Pace:
         eta = f"{_clock_text(left / rate)}" if rate > 0 else "-:--:--"
         return (
             f"{progress.done_blocks}/{progress.num_blocks} blocks  "
-            f"{progress.done_steps:,} steps  {rate / 1000:.1f}k steps/s  eta {eta}"
+            f"{progress.done_steps:,} steps  {_rate_text(rate)} steps/s  eta {eta}"
             + (f"  {progress.last.label}" if progress.last else "")
         )
+
+
+def _rate_text(rate: float) -> str:
+    return f"{rate / 1000:.1f}k" if rate >= 1000 else f"{rate:.0f}"
 
 
 def _clock_text(seconds: float) -> str:

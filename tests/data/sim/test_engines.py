@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -37,6 +38,14 @@ def test_workers_are_other_processes_with_one_thread(monkeypatch: pytest.MonkeyP
     assert values == ["1"] * len(THREAD_VARIABLES)
     assert os.environ["OMP_NUM_THREADS"] == "7"
     assert "OPENBLAS_NUM_THREADS" not in os.environ
+
+
+def test_workers_never_see_ctrl_c() -> None:
+    """It goes to the whole process group; the parent decides what becomes of its workers."""
+    (status,) = map_blocks(Path.read_text, [Path("/proc/self/status")], 1)
+    blocked = int(re.findall(r"SigBlk:\s*(\w+)", status)[0], 16)
+    assert blocked >> (signal.SIGINT - 1) & 1
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
 def test_an_error_comes_home_with_its_traceback() -> None:
