@@ -159,6 +159,7 @@ def calibrate_task(
             found=f"{medium.level} at rate {medium.rate}",
         )
     curve = tuple(measure(rate, coarse) for rate in RATES[1:-1])
+    expert = measure(0.0, careful)
     return Calibration(
         task=task_name,
         horizon=horizon,
@@ -166,24 +167,25 @@ def calibrate_task(
         level=medium.level,
         random=measure(1.0, careful),
         medium=medium,
-        expert=measure(0.0, careful),
-        monotone=is_monotone(curve),
+        expert=expert,
+        monotone=is_monotone(curve, expert.level_error),
         curve=curve,
         seed=seed,
         versions={name: metadata.version(name) for name in ("metaworld", "mujoco", "numpy")},
     )
 
 
-def is_monotone(curve: Sequence[Measurement]) -> bool:
+def is_monotone(curve: Sequence[Measurement], script_error: float) -> bool:
     """Whether levels rise towards the script and end there, but for noise and SLACK.
 
-    `curve` runs from the random side to the script's. False if a level falls below an
-    earlier one, or if one rises above 1, by more than SLACK and two standard errors.
+    `curve` runs from the random side to the script's, whose own level has `script_error`.
+    False if a level falls below an earlier one, or if one rises above 1, by more than SLACK
+    and two standard errors of what is compared.
     """
     best = 0.0
     for point in curve:
         room = SLACK + 2 * point.level_error
-        if point.level < best - room or point.level > 1 + room:
+        if point.level < best - room or point.level > 1 + room + 2 * script_error:
             return False
         best = max(best, point.level)
     return True

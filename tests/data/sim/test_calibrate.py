@@ -122,10 +122,12 @@ def point(rate, level, error=0.01):
 
 def test_monotone_allows_a_tenth_and_two_errors_and_no_more():
     rising = [point(0.9, 0.5), point(0.5, 0.39), point(0.1, 1.11)]  # room 0.1 + 2 * 0.01
-    assert module.is_monotone(rising)
-    assert not module.is_monotone([point(0.9, 0.5), point(0.5, 0.37), point(0.1, 0.9)])
-    assert not module.is_monotone([point(0.9, 0.5), point(0.5, 1.13), point(0.1, 1.1)])
-    assert module.is_monotone([point(0.9, 0.5), point(0.5, 1.13, error=0.02), point(0.1, 1.1)])
+    assert module.is_monotone(rising, 0.0)
+    assert not module.is_monotone([point(0.9, 0.5), point(0.5, 0.37), point(0.1, 0.9)], 0.0)
+    above = [point(0.9, 0.5), point(0.5, 1.13), point(0.1, 1.1)]
+    assert not module.is_monotone(above, 0.0)
+    assert module.is_monotone(above, 0.02)  # the script itself is known no better
+    assert module.is_monotone([point(0.9, 0.5), point(0.5, 1.13, error=0.02)], 0.0)
 
 
 def test_probe_repeats_itself_and_tells_rates_apart():
