@@ -18,6 +18,7 @@ import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from typing import Any, TypeVar
@@ -185,7 +186,9 @@ def _one_thread_environment() -> Iterator[None]:
 
 @contextmanager
 def _interrupts_held_back() -> Iterator[None]:
-    """A blocked signal mask is inherited, so Ctrl-C never reaches a worker's imports."""
+    """A blocked signal mask is inherited, so Ctrl-C never reaches a worker."""
+    # Starting the tracker unblocks the signal, so it has to run before.
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -49,7 +49,7 @@ def test_workers_never_see_ctrl_c() -> None:
 
 
 def test_an_error_comes_home_with_its_traceback() -> None:
-    with pytest.raises(ValueError, match="math domain error|nonnegative") as caught:
+    with pytest.raises(ValueError, match=r"math domain error|nonnegative") as caught:
         list(map_blocks(math.sqrt, [1.0, -1.0], 1))
     assert "in a worker process" in str(caught.value.__cause__)
 
