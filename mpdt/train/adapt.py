@@ -34,9 +34,10 @@ from mpdt.data.slices.windows import (
 from mpdt.data.store.reader import Dataset, open_tta_rewards
 from mpdt.data.store.tables import TtaSet
 from mpdt.errors import DataError, UsageError, unknown_name
-from mpdt.model.policy import PolicyBatch, PromptPolicy
+from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import AdaptedPrompts, DecomposedPrompts, Start
 from mpdt.model.returns import ReturnTable
+from mpdt.train.multitask import as_batch
 from mpdt.train.statistics import LayerStatistics, moments
 
 NOT_ADAPTED: Start = "none"
@@ -215,7 +216,7 @@ def adapt(
         return prompts.task_prompts().detach()
     optimizer = torch.optim.AdamW(tuned, lr=settings.lr, weight_decay=0.0)
     for step in range(settings.steps):
-        batch = PolicyBatch.from_windows(unseen.batch(step))
+        batch = as_batch(unseen.batch(step))
         output = policy(batch, prompts.task_prompts(), returns, layer_features=True)
         losses = alignment_loss(output.features, batch.mask, source, axes, settings.layers)
         if on_step:

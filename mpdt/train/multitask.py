@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, cast
 
 import msgspec
 import numpy as np
@@ -24,7 +24,7 @@ from torch import nn
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.data.slices.windows import WindowBatch
 from mpdt.errors import TrainingError, UsageError
-from mpdt.model.policy import PolicyBatch, PromptPolicy, action_loss
+from mpdt.model.policy import PolicyBatch, PromptPolicy, Windows, action_loss
 from mpdt.model.prompts import DecomposedPrompts, TeacherPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.train.teacher import Teacher
@@ -105,7 +105,7 @@ def fit(
         for group in optimizer.param_groups:
             group["lr"] = group["base_lr"] * rate_factor(settings, step, num_steps)
         windows = sampler.batch(step)
-        batch, slots = PolicyBatch.from_windows(windows), torch.from_numpy(windows.slots)
+        batch, slots = as_batch(windows), torch.from_numpy(windows.slots)
         of_tasks, task_prompts = returns.select(slots), prompts.task_prompts(slots)
         output = policy(
             batch, task_prompts, of_tasks,
@@ -130,6 +130,12 @@ def fit(
         if on_step(step + 1, parts):
             return step + 1
     return num_steps
+
+
+def as_batch(windows: WindowBatch) -> PolicyBatch:
+    """The sampler's windows as tensors."""
+    # The protocol asks for settable attributes, which a frozen batch does not have.
+    return PolicyBatch.from_windows(cast(Windows, windows))
 
 
 def make_optimizer(

@@ -51,7 +51,7 @@ def run_pipeline(
     if folder.results.exists():
         progress.say(f"this run is done: {folder.path} (again: --restart)")
         return read_results(folder.path)
-    torch.set_num_threads(config.threads or os.cpu_count() or 1)
+    torch.set_num_threads(config.threads or len(os.sched_getaffinity(0)))
     backbone = from_settings(config.backbone)
     progress.say(
         f"backbone {backbone.name}, {backbone.num_layers} blocks of width {backbone.width}, "

@@ -106,10 +106,9 @@ class Trainer:
                 steps["teacher"] = self._fit(
                     "teacher", subject, returns, hashes, config.teacher.steps, began_s, share
                 )
-                save_weights(
-                    self.folder.teacher, subject.tensors(optimizer=False),
-                    WeightsHeader(kind="teacher", hashes=hashes, settings={"updates": steps["teacher"]}),
-                )  # fmt: skip
+                facts: dict[str, object] = {"updates": steps["teacher"]}
+                header = WeightsHeader(kind="teacher", hashes=hashes, settings=facts)
+                save_weights(self.folder.teacher, subject.tensors(optimizer=False), header)
             teacher = Teacher(policy, prompts, config.teacher)
         student = DecomposedPrompts(*shape, phase_seed(config.seed, "student"))
         subject = self._subject(policy, student)

@@ -19,9 +19,10 @@ from torch import Tensor
 
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.errors import UsageError
-from mpdt.model.policy import PolicyBatch, PromptPolicy
+from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import DecomposedPrompts
 from mpdt.model.returns import ReturnTable
+from mpdt.train.multitask import as_batch
 
 
 class StatisticsSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -108,7 +109,7 @@ def _features(
     """Features L x (n, M, K, s) and mask (n, M, K) of each batch."""
     for step in range(batches):
         windows = sampler.batch(step)
-        batch, slots = PolicyBatch.from_windows(windows), torch.from_numpy(windows.slots)
+        batch, slots = as_batch(windows), torch.from_numpy(windows.slots)
         output = policy(
             batch, prompts.task_prompts(slots), returns.select(slots), layer_features=True
         )
