@@ -121,7 +121,7 @@ def schema() -> tuple[list[dict[str, Any]], str]:
     groups = {f"/{name}": columns for name, columns in layout.GROUPS.items()}
     for name, columns in layout.TTA_GROUPS.items():
         groups[f"/tta/<name>/{name}".rstrip("/")] = columns
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "path": f"{group}/{column.path}",
             "dtype": "bool" if column.dtype == "?" else column.dtype,
