@@ -11,11 +11,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from mpdt.data.cli import VERBS, main
 from mpdt.data.parts import PartsFolder
+from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.store.reader import open_dataset
 
 SCRIPT = Path(__file__).with_name("fake_sim.py")
@@ -266,3 +268,35 @@ def test_progress_counts_only_what_this_run_did() -> None:
         "collect  4/10 blocks  400 steps  20 steps/s  eta 0:00:30  b4",
         "collect  10/10 blocks  1,000 steps  80 steps/s  eta 0:00:00  b10",
     ]
+
+
+def test_pretrain_and_calibrate_are_the_library_with_dashes(
+    workplace: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[tuple[object, ...]] = []
+
+    def pretrain(name: str, **options: object) -> Path:
+        options.pop("on_progress")
+        calls.append((name, options))
+        return Path("weights/x.safetensors")
+
+    def calibrate(spec: DatasetSpec, target: Path | None, **options: object) -> Path:
+        calls.append((spec.name, target, options["seed"]))
+        return Path("rates.json")
+
+    # Stubs of whole modules: the real ones import torch and Meta-World.
+    monkeypatch.setitem(sys.modules, "mpdt.data.sim.pretrain", stub(pretrain=pretrain))
+    monkeypatch.setitem(sys.modules, "mpdt.data.sim.calibrate", stub(calibrate=calibrate))
+    assert code_of("pretrain", "cheetah_dir", "--no-resume", "--steps", "9", "-o", "w") == 0
+    assert code_of("calibrate", "tiny", "--seed", "4") == 0
+    assert calls == [
+        ("cheetah_dir", {"seed": 0, "steps": 9, "output": Path("w"), "resume": False}),
+        ("tiny", None, 4),
+    ]
+    assert capsys.readouterr().out == "wrote  weights/x.safetensors\nwrote  rates.json\n"
+
+
+def stub(**members: object) -> ModuleType:
+    module = ModuleType("stub")
+    vars(module).update(members)
+    return module
