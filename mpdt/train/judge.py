@@ -135,7 +135,7 @@ class Judge:
     ) -> list[Score]:
         settings = self.trainer.config.evaluation
         result = self._evaluate(
-            f"judge {block}", rows, controller, settings.episodes, settings.seed
+            f"{block}: {method}", rows, controller, settings.episodes, settings.seed
         )
         random, expert = self._reference("random", rows), self._reference("expert", rows)
         return scores_of(

@@ -29,6 +29,7 @@ from mpdt.train.teacher import TeacherSettings
 def smoke() -> TrainConfig:
     """Every phase once, in seconds."""
     return TrainConfig(
+        threads=1,  # tiny products on several threads crawl when the machine is busy
         backbone=BackboneSettings(name="random:tiny", dtype="float32"),
         prompts=PromptSettings(length=4),
         sampler=SamplerSettings(window=5, per_task=4),
