@@ -25,7 +25,7 @@ class Pace:
         own = progress.done_steps - progress.resumed_steps
         return own / max(1e-9, self._clock() - self._start)
 
-    def text(self, progress: Progress) -> str:
+    def text(self, progress: Progress, label: bool = True) -> str:
         """`52/74 blocks  520,000 steps  41.2k steps/s  eta 0:00:05  forward-expert-3`."""
         rate = self.steps_per_s(progress)
         left = progress.num_steps - progress.done_steps
@@ -33,7 +33,7 @@ class Pace:
         return (
             f"{progress.done_blocks}/{progress.num_blocks} blocks  "
             f"{progress.done_steps:,} steps  {_rate_text(rate)} steps/s  eta {eta}"
-            + (f"  {progress.last.label}" if progress.last else "")
+            + (f"  {progress.last.label}" if progress.last and label else "")
         )
 
 
@@ -97,9 +97,9 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
     from rich.progress import BarColumn, TextColumn
     from rich.progress import Progress as RichProgress
 
-    console = Console(stderr=True)
+    console = Console(stderr=True)  # a narrow one has no room for the block's label
     pace = Pace()
-    columns = (TextColumn("collect"), BarColumn(), TextColumn("{task.description}"))
+    columns = (TextColumn("collect"), BarColumn(bar_width=12), TextColumn("{task.description}"))
     with RichProgress(*columns, console=console, transient=False) as bar:
         task = bar.add_task("", total=None)
 
@@ -110,7 +110,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
                 task,
                 total=progress.num_steps,
                 completed=progress.done_steps,
-                description=pace.text(progress),
+                description=pace.text(progress, label=console.width >= 110),
             )
 
         yield tell
