@@ -69,8 +69,7 @@ def settings_text(config: TrainConfig, as_json: bool) -> str:
     plain = to_plain(config)
     if as_json:
         return json.dumps(plain, indent=1) + "\n"
-    options = [f"--{key.replace('_', '-')} {_word(value)}" for key, value in _leaves(plain)]
-    return "\n".join(options) + "\n"
+    return "\n".join(_option(key, value) for key, value in _leaves(plain)) + "\n"
 
 
 def _leaves(plain: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -81,7 +80,11 @@ def _leaves(plain: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, A
             yield f"{prefix}{key}", value
 
 
-def _word(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return " ".join(str(item) for item in value)
-    return str(value)
+def _option(key: str, value: Any) -> str:
+    """As it is typed: `--prompts.length 30`, `--inputs.no-return-clip`, `--adapt.starts cross`."""
+    name = key.replace("_", "-")
+    if isinstance(value, bool):
+        part, _, last = name.rpartition(".")
+        return f"--{name}" if value else f"--{part}.no-{last}"
+    words = [str(item) for item in value] if isinstance(value, list | tuple) else [str(value)]
+    return " ".join([f"--{name}", *words])

@@ -9,7 +9,9 @@ import pytest
 from mpdt.errors import UsageError
 from mpdt.model.weights import load_weights
 from mpdt.train.cli import Run, main, parse_settings
+from mpdt.train.presets import get_preset
 from mpdt.train.progress import Progress
+from mpdt.train.show import settings_text
 
 QUICK = ["--preset", "smoke", "--threads", "1", "--statistics.batches", "1",
          "--evaluation.horizon", "3", "--multitask.checkpoint-every", "6"]  # fmt: skip
@@ -162,6 +164,13 @@ def test_settings_lists_every_option_with_its_value(capsys):
     assert call("settings", "--preset", "paper") == 0
     lines = capsys.readouterr().out.splitlines()
     assert "--prompts.length 30" in lines and "--adapt.starts cross" in lines
+
+
+@pytest.mark.parametrize("name", ["smoke", "paper"])
+def test_the_listed_settings_can_be_typed_back(name):
+    """Whatever the preset, typing its whole list over `base` gives it."""
+    text = settings_text(get_preset(name), as_json=False)
+    assert parse_settings(Run(data="x"), text.split()) == get_preset(name)
 
 
 def test_overrides_and_the_share_of_the_teacher():
