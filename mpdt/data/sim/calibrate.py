@@ -18,6 +18,7 @@ All rates of a task are measured on the same goals, coins and uniform actions.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
@@ -41,15 +42,19 @@ STEP = 0.05  # of the walk over rates
 RATES = tuple(round(1 - STEP * i, 6) for i in range(round(1 / STEP) + 1))  # 1, 0.95 .. 0
 FINEST = 0.025  # where halving stops
 SLACK = 0.1  # a curve may turn by this much and count as monotone
+ERROR = 0.025  # standard error of the level that ends the careful measurement
+PORTIONS = 4  # at most so many times the careful number of episodes
+CLOSE = 0.03  # a level this near 0.5 is not improved further
 BAND = (0.40, 0.60)  # a medium outside is refused; `verify` allows [0.35, 0.65]
 
 
 RULE = (
     f"Mixing rates are walked from 1 (uniform) to 0 (script) in steps of {STEP}. Around the "
-    f"first level >= 0.5 that stands up to the larger number of episodes the step is halved "
-    f"down to {FINEST}; the carefully measured rate nearest 0.5 is medium and must lie in "
-    f"[{BAND[0]}, {BAND[1]}]. Where the curve turns (monotone: false) only this first crossing "
-    "counts, so random < medium < expert in return holds."
+    "first level >= 0.5 that stands up to the larger number of episodes the step is halved "
+    f"down to {FINEST}. The nearest rate is measured again with up to {PORTIONS} times the "
+    f"episodes, until the level is known to {ERROR}, and moved by {FINEST} while it is more "
+    f"than {CLOSE} from 0.5; it must end in [{BAND[0]}, {BAND[1]}]. Where the curve turns "
+    "(monotone: false) only this first crossing counts, so random < medium < expert in return."
 )
 
 
@@ -90,31 +95,73 @@ def find_rate(level: Callable[[float, bool], float]) -> float:
     return min(sorted(careful, reverse=True), key=lambda rate: abs(careful[rate] - 0.5))
 
 
+def settle(level: Callable[[float], float], start: float) -> float:
+    """Walk from `start` towards level 0.5 in steps of FINEST, until CLOSE or past it.
+
+    Args:
+        level: rate -> level, known to about ERROR.
+
+    Returns: the visited rate nearest 0.5.
+    """
+    seen = {start: level(start)}
+    rate = start
+    while abs(seen[rate] - 0.5) > CLOSE:
+        rate = round(rate + (FINEST if seen[rate] > 0.5 else -FINEST), 6)
+        if rate in seen or not 0.0 < rate < 1.0:
+            break
+        seen[rate] = level(rate)
+    return min(sorted(seen, reverse=True), key=lambda visited: abs(seen[visited] - 0.5))
+
+
 class Probe:
     """Measures mixing rates of one task, every rate on the same episodes' keys."""
 
     def __init__(self, task_name: str, horizon: int, seed: int) -> None:
         # mt50 holds every task, so a calibration does not depend on the family that asked.
         self._family = get_family("mt50")
-        self._task = self._family.task(task_name)
-        self._horizon, self._seed = horizon, seed
-        self._env: BatchEnv = make_batch(self._family, [self._task])
+        self.task = self._family.task(task_name)
+        self.horizon, self.seed = horizon, seed
+        self._env: BatchEnv = make_batch(self._family, [self.task])
         self._seen: dict[float, list[tuple[float, bool]]] = {}
 
     def outcomes(self, rate: float, num_episodes: int) -> tuple[FloatArray, FloatArray]:
         """Returns and successes (0 or 1) of the first `num_episodes` episodes, (N,) each."""
         seen = self._seen.setdefault(rate, [])
-        policy = ScriptedPolicy([self._task.name], rate)
+        policy = ScriptedPolicy([self.task.name], rate)
         for row in range(len(seen), num_episodes):
-            key = SeedKey(
-                self._seed, self._family.id, self._task.index, Quality.CALIBRATION, 0, row
-            )
+            place = (self._family.id, self.task.index, Quality.CALIBRATION, 0, row)
+            key = SeedKey(self.seed, *place)
             (episode,) = run_block(
-                self._env, policy, [key], horizon=self._horizon, quality=-1, progress=-1.0
+                self._env, policy, [key], horizon=self.horizon, quality=-1, progress=-1.0
             )
             seen.append((episode.episode_return, episode.success))
         returns, successes = zip(*seen[:num_episodes], strict=True)
         return np.array(returns), np.array(successes, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What turns returns into levels: the mean return at rate 1, and up to rate 0."""
+
+    low: float
+    span: float
+
+    @classmethod
+    def of(cls, probe: Probe, num_random: int, num_script: int) -> Scale:
+        low = float(probe.outcomes(1.0, num_random)[0].mean())
+        return cls(low, float(probe.outcomes(0.0, num_script)[0].mean()) - low)
+
+    def measure(self, probe: Probe, rate: float, num_episodes: int) -> Measurement:
+        returns, successes = probe.outcomes(rate, num_episodes)
+        error = returns.std(ddof=1) / self.span / np.sqrt(num_episodes)
+        return Measurement(
+            rate=rate,
+            episodes=num_episodes,
+            mean_return=round(float(returns.mean()), 3),
+            success=round(float(successes.mean()), 4),
+            level=round(float((returns.mean() - self.low) / self.span), 4),
+            level_error=round(float(error), 4),
+        )
 
 
 def calibrate_task(
@@ -126,53 +173,62 @@ def calibrate_task(
         rate comes into BAND (more `careful` episodes may help).
     """
     probe = Probe(task_name, horizon, seed)
-    low = probe.outcomes(1.0, careful)[0].mean()
-    span = probe.outcomes(0.0, careful)[0].mean() - low
-    if span <= 0:
+    first = Scale.of(probe, careful, careful)
+    if first.span <= 0:
         raise DataError(
             "the script earns no more than uniform actions",
             where=f"{task_name}, horizon {horizon}",
-            expected=f"a return above {low:.1f}",
-            found=f"{low + span:.1f}",
+            expected=f"a return above {first.low:.1f}",
+            found=f"{first.low + first.span:.1f}",
         )
 
-    def measure(rate: float, num_episodes: int) -> Measurement:
-        returns, successes = probe.outcomes(rate, num_episodes)
-        return Measurement(
-            rate=rate,
-            episodes=num_episodes,
-            mean_return=round(float(returns.mean()), 3),
-            success=round(float(successes.mean()), 4),
-            level=round(float((returns.mean() - low) / span), 4),
-            level_error=round(float(returns.std(ddof=1) / span / np.sqrt(num_episodes)), 4),
-        )
+    def rough_level(rate: float, is_careful: bool) -> float:
+        return first.measure(probe, rate, careful if is_careful else coarse).level
 
-    def level(rate: float, is_careful: bool) -> float:
-        return measure(rate, careful if is_careful else coarse).level
+    start = find_rate(rough_level)
+    return refine(probe, start, coarse=coarse, careful=careful)
 
-    medium = measure(find_rate(level), careful)
+
+def refine(probe: Probe, start: float, *, coarse: int, careful: int) -> Calibration:
+    """From the rate `find_rate` answered to the calibration, with enough episodes."""
+    span = Scale.of(probe, careful, careful).span
+    scale = Scale.of(probe, *(_enough(probe, end, span, careful) for end in (1.0, 0.0)))
+
+    def measure(rate: float) -> Measurement:
+        return scale.measure(probe, rate, _enough(probe, rate, scale.span, careful))
+
+    medium = measure(settle(lambda rate: measure(rate).level, start))
     if not BAND[0] <= medium.level <= BAND[1]:
         raise DataError(
             "no mixing rate of the grid gives half the script's return",
-            where=f"{task_name}, horizon {horizon}",
+            where=f"{probe.task.name}, horizon {probe.horizon}",
             expected=f"a level in [{BAND[0]}, {BAND[1]}]",
             found=f"{medium.level} at rate {medium.rate}",
         )
-    curve = tuple(measure(rate, coarse) for rate in RATES[1:-1])
-    expert = measure(0.0, careful)
+    curve = tuple(scale.measure(probe, rate, coarse) for rate in RATES[1:-1])
+    expert = measure(0.0)
     return Calibration(
-        task=task_name,
-        horizon=horizon,
+        task=probe.task.name,
+        horizon=probe.horizon,
         rate=medium.rate,
         level=medium.level,
-        random=measure(1.0, careful),
+        random=measure(1.0),
         medium=medium,
         expert=expert,
         monotone=is_monotone(curve, expert.level_error),
         curve=curve,
-        seed=seed,
+        seed=probe.seed,
         versions={name: metadata.version(name) for name in ("metaworld", "mujoco", "numpy")},
     )
+
+
+def _enough(probe: Probe, rate: float, span: float, careful: int) -> int:
+    """Episodes after which the level of `rate` is known to ERROR, in portions of `careful`."""
+    for portion in range(1, PORTIONS + 1):
+        returns, _ = probe.outcomes(rate, portion * careful)
+        if returns.std(ddof=1) / np.sqrt(len(returns)) <= ERROR * span:
+            break
+    return portion * careful
 
 
 def is_monotone(curve: Sequence[Measurement], script_error: float) -> bool:

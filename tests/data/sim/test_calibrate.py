@@ -1,11 +1,21 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import msgspec
 import numpy as np
 import pytest
 
 from mpdt.data.sim import calibrate as module
-from mpdt.data.sim.calibrate import RATES, RULE, Probe, calibrate, calibrate_task, find_rate
+from mpdt.data.sim.calibrate import (
+    RATES,
+    RULE,
+    Probe,
+    calibrate,
+    calibrate_task,
+    find_rate,
+    settle,
+)
 from mpdt.data.sim.calibration import (
     LOCAL_FILE,
     Calibration,
@@ -79,16 +89,38 @@ def test_only_the_clean_script_is_good():
     assert find_rate(level) in (0.025, 0.0)  # as far as the grid goes; the band refuses it
 
 
+def visited(levels, start):
+    seen = []
+    answer = settle(lambda rate: seen.append(rate) or levels[rate], start)
+    return answer, seen
+
+
+def test_settling_walks_towards_one_half_and_takes_the_nearest():
+    assert visited({0.5: 0.52}, 0.5) == (0.5, [0.5])  # close enough
+    # too low: less random, until it is close
+    assert visited({0.5: 0.4, 0.475: 0.46, 0.45: 0.48}, 0.5) == (0.45, [0.5, 0.475, 0.45])
+    # too high: more random; here one step goes past the half, and the nearer one stays
+    assert visited({0.5: 0.56, 0.525: 0.45}, 0.5) == (0.525, [0.5, 0.525])
+    assert visited({0.5: 0.54, 0.525: 0.45}, 0.5) == (0.5, [0.5, 0.525])
+    assert visited({0.025: 0.2}, 0.025) == (0.025, [0.025])  # rate 0 is expert, not medium
+
+
 class FakeProbe:
-    """Returns 100 at rate 1 and 500 at rate 0, straight in between, +-4 by row."""
+    """Returns 100 at rate 1 and 500 at rate 0, straight in between, +-4 by row.
+
+    Task "rare" has an outlier of +100 in its first episode at rate 0.5 only.
+    """
 
     def __init__(self, task_name, horizon, seed):
+        self.task, self.horizon, self.seed = SimpleNamespace(name=task_name), horizon, seed
         self.slope = {"good": 400.0, "bad": -10.0}.get(task_name, 400.0)
         self.jump = task_name == "jump"
 
     def outcomes(self, rate, num_episodes):
         share = float(rate < 0.31) if self.jump else 1 - rate
         noise = 4.0 * (-1.0) ** np.arange(num_episodes)
+        if self.task.name == "rare" and rate == 0.5:
+            noise[0] += 100.0
         return 100.0 + self.slope * share + noise, np.full(num_episodes, float(rate < 0.5))
 
 
@@ -106,6 +138,18 @@ def test_calibrate_task_measures_the_level_it_reports(monkeypatch):
     # level of an unmeasured rate: half way between 0.30 (0.70) and 0.35 (0.65)
     assert found.level_at(0.325) == pytest.approx(0.675)
     assert (found.level_at(1.0), found.level_at(0.0)) == (0.0, 1.0)
+
+
+def test_noisy_rates_get_more_episodes_up_to_a_limit(monkeypatch):
+    monkeypatch.setattr(module, "Probe", FakeProbe)
+    found = calibrate_task("rare", 500, coarse=2, careful=4)
+    assert found.random.episodes == found.expert.episodes == 4
+    probe = FakeProbe("rare", 500, 1)
+    # (104, -4, 4, -4, ...): std / sqrt(n) is 26.4, 13.1, 8.8 for n = 4, 8, 12; 0.025 * 400 = 10
+    assert module._enough(probe, 0.5, 400.0, 4) == 12
+    assert module._enough(probe, 0.5, 40.0, 4) == 16  # never more than four portions
+    assert module._enough(probe, 0.4, 400.0, 4) == 4
+    assert found.level == pytest.approx(0.5, abs=0.03)
 
 
 def test_a_script_below_random_or_without_a_middle_is_refused(monkeypatch):
