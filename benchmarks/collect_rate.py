@@ -26,7 +26,6 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import mujoco
 import numpy as np
-from mpdt.data.spec.catalog import load_catalog
 from mujoco import rollout
 
 from mpdt.data.sim.batch import make_batch
@@ -34,6 +33,7 @@ from mpdt.data.sim.collect import run_block
 from mpdt.data.sim.ladder import load_ladder
 from mpdt.data.sim.locomotion_env import LocomotionEnv
 from mpdt.data.sim.robots import FRAME_SKIP, ROBOTS
+from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.tasks import get_family
 from mpdt.seeding import Quality, SeedKey
 
