@@ -161,6 +161,9 @@ def test_bfloat16_stays_near_float32(backbone: Backbone) -> None:
     mask = torch.ones(1, 2, 5, dtype=torch.bool)
     exact, rough = backbone(prompts, tokens, mask)[0], half(prompts, tokens, mask)[0]
     assert rough.dtype == torch.float32
+    assert next(half.model.parameters()).dtype == torch.bfloat16
+    # Rotary frequencies rounded to bfloat16 would misplace every token behind the first few.
+    assert all(buffer.dtype == torch.float32 for buffer in half.model.buffers())
     assert 0 < (exact - rough).abs().mean() < 0.05 * exact.abs().mean()
 
 

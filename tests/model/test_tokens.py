@@ -90,9 +90,9 @@ def test_a_token_is_the_mean_word_plus_a_mixture_of_words() -> None:
 
 
 def test_observations_are_standardised_and_cut() -> None:
-    """(7 - 1) / 2 = 3. A column without spread is divided by 1e-6 and cut at 10."""
+    """(7 - 1) / 2 = 3. Columns without spread are divided by 1e-6: 1 - 1 stays 0, 2 - 1 is cut at 10."""
     mean, std = torch.ones(D), torch.full((D,), 2.0)
-    std[4] = 0.0
+    std[3:] = 0.0
     inputs = InputMap(InputSettings(return_to_go="none", time_table=0), D, A, WORDS, mean, std)
     plain = make()
     raw, cooked = torch.ones(1, 1, 3, D), torch.zeros(1, 1, 3, D)
@@ -106,12 +106,15 @@ def test_observations_are_standardised_and_cut() -> None:
 def test_pads_are_blank_whatever_stands_there() -> None:
     mask = torch.tensor([[[False, True, True]]])
     settings = {"return_to_go": "task", "return_dropout": 0.1, "time_table": 9}
-    clean = tokens_of(make(**settings), mask=mask)
+    inputs = make(**settings)
+    assert inputs.time is not None
+    torch.nn.init.ones_(inputs.time[1:])
+    clean = tokens_of(inputs, mask=mask)
     dirty = numbers(1, 1, 3, D)
     dirty[0, 0, 0] = torch.nan
     steps = torch.tensor([[[8, 1, 2]]])
-    assert torch.equal(tokens_of(make(**settings), mask=mask, observations=dirty), clean)
-    assert torch.equal(tokens_of(make(**settings), mask=mask, timesteps=steps), clean)
+    assert torch.equal(tokens_of(inputs, mask=mask, observations=dirty), clean)
+    assert torch.equal(tokens_of(inputs, mask=mask, timesteps=steps), clean)
 
 
 def test_previous_action_and_return_are_seen_only_if_asked() -> None:
