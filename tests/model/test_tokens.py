@@ -90,7 +90,7 @@ def test_a_token_is_the_mean_word_plus_a_mixture_of_words() -> None:
 
 
 def test_observations_are_standardised_and_cut() -> None:
-    """(7 - 1) / 2 = 3. Columns without spread are divided by 1e-6: 1 - 1 stays 0, 2 - 1 is cut at 10."""
+    """(7 - 1) / 2 = 3. Without spread, divided by 1e-6: 1 - 1 stays 0, 2 - 1 is cut at 10."""
     mean, std = torch.ones(D), torch.full((D,), 2.0)
     std[3:] = 0.0
     inputs = InputMap(InputSettings(return_to_go="none", time_table=0), D, A, WORDS, mean, std)
