@@ -41,7 +41,7 @@ def run(data: Path, name: str, options: list[str], steps: int, threads: int) -> 
         *("--data", str(data), "--preset", "demo", "--name", f"study-{data.stem}-{name}"),
         *("--threads", str(threads), "--teacher.distillation", "none"),
         *("--multitask.steps", str(steps), "--evaluation.no-constants"),
-        *("--statistics.batches", "2", "--adapt.steps", "1", "--quiet", *options),
+        *("--adapt.starts", "none", "--evaluation.episodes", "5", "--quiet", *options),
     ]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     began = time.monotonic()
