@@ -89,16 +89,16 @@ def collect(
     if workers is not None and workers < 0:
         raise UsageError("a negative number of workers", found=str(workers))
     plan, folder = make_plan(spec), PartsFolder(target)
-    if not restart and (finished := find_finished(plan, target)):
+    policies = load_ladder(spec).policies(plan.tasks)
+    if not restart and (finished := find_finished(plan, target, policies)):
         with suppress(BusyError, StorageError):
             folder.discard()  # of a collector that was killed just before it would have
         return Collected(finished, is_new=False)
-    policies = load_ladder(spec).policies(plan.tasks)
     check_space(plan, target)
     with folder.locked():
         if restart:
             folder.clear()
-        elif finished := find_finished(plan, target):  # by another collector, meanwhile
+        elif finished := find_finished(plan, target, policies):  # by another collector, meanwhile
             folder.delete()
             return Collected(finished, is_new=False)
         folder.agree(describe_plan(plan, policies))
@@ -111,8 +111,8 @@ def collect(
     return Collected(dataset, True, size, resumed, warnings)
 
 
-def find_finished(plan: Plan, target: Path) -> Dataset | None:
-    """The finished file at `target` if it was made from this very spec; None if there is none.
+def find_finished(plan: Plan, target: Path, policies: Sequence[PolicyInfo]) -> Dataset | None:
+    """The finished file at `target` if this very spec and these policies made it, else None.
 
     Raises: DataError if something else is there, naming the keys of the spec that differ.
     """
@@ -133,7 +133,13 @@ def find_finished(plan: Plan, target: Path) -> Dataset | None:
             hint="choose another file with -o; --restart replaces it",
         )
     if dataset.spec_hash == plan.spec_hash:
-        return dataset
+        if {policy.hash for policy in policies} == {p.hash for p in dataset.policy_infos()}:
+            return dataset
+        raise DataError(
+            "the target was made with other behaviour weights or mixing rates",
+            where=str(target),
+            hint="--restart makes it again with those installed; -o writes another file",
+        )
     changed = changed_keys(dict(dataset.spec), msgspec.to_builtins(plan.spec))
     raise DataError(
         "the target was made from another spec: " + "; ".join(changed),

@@ -277,7 +277,19 @@ def test_a_cut_out_is_not_the_finished_file(tiny_file: Path, tiny_spec: DatasetS
     target = tiny_file.with_name("cut.h5")
     cut_file(open_dataset(tiny_file), Cut(quality="expert"), target)
     with pytest.raises(DataError, match="cut out"):
-        find_finished(make_plan(tiny_spec), target)
+        find_finished(make_plan(tiny_spec), target, [])
+
+
+def test_a_file_of_other_behaviour_weights_is_not_the_finished_file(
+    tiny_file: Path, tiny_spec: DatasetSpec
+) -> None:
+    from dataclasses import replace
+
+    policies = open_dataset(tiny_file).policy_infos()
+    assert find_finished(make_plan(tiny_spec), tiny_file, policies) is not None
+    retrained = [replace(policy, hash=bytes(32)) for policy in policies]
+    with pytest.raises(DataError, match="other behaviour weights"):
+        find_finished(make_plan(tiny_spec), tiny_file, retrained)
 
 
 def test_no_global_generator_is_touched(

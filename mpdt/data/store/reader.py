@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.store import layout, tables
 from mpdt.data.store.dataset import Dataset
@@ -92,6 +93,14 @@ def _collect_hint(path: Path) -> str:
     return f"mpdt-data collect {path.stem} -o {path}"
 
 
+def _missing_hint(path: Path) -> str:
+    """The command that makes a file of that name: collect, or split for `<name>-<quality>`."""
+    name, _, quality = path.stem.rpartition("-")
+    if name and quality in QUALITY_CODES:
+        return f"mpdt-data split {path.with_stem(name)} --quality {quality}"
+    return f"mpdt-data collect {path.stem}"
+
+
 @contextmanager
 def _open(path: Path) -> Iterator[tuple[h5py.File, BinaryIO]]:
     where = str(path)
@@ -100,8 +109,7 @@ def _open(path: Path) -> Iterator[tuple[h5py.File, BinaryIO]]:
     try:
         stream = path.open("rb")
     except FileNotFoundError as error:
-        hint = f"mpdt-data collect {path.stem}"
-        raise MissingFileError("no such file", where=where, hint=hint) from error
+        raise MissingFileError("no such file", where=where, hint=_missing_hint(path)) from error
     except OSError as error:
         raise StorageError("cannot be opened", where=where, found=str(error)) from error
     with stream:

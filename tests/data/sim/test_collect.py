@@ -1,13 +1,13 @@
 """run_block with numbers worked out by hand: a counter env and an adding policy.
 
-    observation  [position, secret]      position starts at the row number, secret is 9
-    step         position += action, reward = 10 * position after the step
-    terminated   when position >= 3
-    policy       acts 0.5 * (step + 1) in every row, for step 0, 1, 2, ...
+observation  [position, secret]      position starts at the row number, secret is 9
+step         position += action, reward = 10 * position after the step
+terminated   when position >= 3
+policy       acts 0.5 * (step + 1) in every row, for step 0, 1, 2, ...
 
-    row 0 (position 0)   actions 0.5 1.0 1.5   positions 0.5 1.5 3.0   ends at step 2: fell
-    row 1 (position 1)   actions 0.5 1.0 1.5   positions 1.5 2.5 4.0   ends at step 2: fell
-    row 2 (position 2)   actions 0.5 1.0       positions 2.5 3.5       ends at step 1: fell
+row 0 (position 0)   actions 0.5 1.0 1.5   positions 0.5 1.5 3.0   ends at step 2: fell
+row 1 (position 1)   actions 0.5 1.0 1.5   positions 1.5 2.5 4.0   ends at step 2: fell
+row 2 (position 2)   actions 0.5 1.0       positions 2.5 3.5       ends at step 1: fell
 """
 
 from __future__ import annotations
@@ -120,9 +120,10 @@ def test_the_env_is_given_exactly_what_is_stored() -> None:
     assert given.dtype == episode.actions.dtype == np.float32
     assert given.tobytes() == episode.actions.tobytes()
     # 1/3, 2/3, then 1 and 4/3 clipped to float32(0.7)
-    assert episode.actions[:, 0].tolist() == [np.float32(1 / 3), np.float32(2 / 3)] + [
-        np.float32(0.7)
-    ] * 2
+    assert (
+        episode.actions[:, 0].tolist()
+        == [np.float32(1 / 3), np.float32(2 / 3)] + [np.float32(0.7)] * 2
+    )
 
 
 def test_tta_sets_keep_the_drawn_numbers() -> None:

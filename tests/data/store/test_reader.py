@@ -99,6 +99,12 @@ def test_a_missing_file_says_how_to_make_it(tmp_path):
     assert caught.value.hint == "mpdt-data collect cheetah_dir"
 
 
+def test_a_missing_cut_out_names_split(tmp_path):
+    with pytest.raises(MissingFileError) as caught:
+        open_dataset(tmp_path / "ml10-medium.h5")
+    assert caught.value.hint == f"mpdt-data split {tmp_path / 'ml10.h5'} --quality medium"
+
+
 def test_files_that_are_not_ours(tmp_path):
     text, foreign = tmp_path / "a.txt", tmp_path / "b.h5"
     text.write_text("hello", encoding="utf-8")
