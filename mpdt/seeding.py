@@ -16,6 +16,9 @@ import numpy as np
 
 UNKNOWN_SEED_KEY = (4294967295,) * 5
 
+HISTORY_STRIDE = 65536
+"""In `history` the block number of a seed key is rung * HISTORY_STRIDE + block (rule D1)."""
+
 
 class Stream(IntEnum):
     """What a random number is for, within one episode."""

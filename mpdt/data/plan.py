@@ -17,9 +17,8 @@ from typing import Literal
 
 from mpdt.data.spec.entry import DatasetSpec, TtaRule, spec_hash
 from mpdt.data.spec.tasks import Family, Task, get_family
-from mpdt.seeding import Quality, SeedKey
+from mpdt.seeding import HISTORY_STRIDE, Quality, SeedKey
 
-RUNG_STRIDE = 65536  # history: block number = rung * RUNG_STRIDE + block; part of the identity
 QUALITIES = ("random", "medium", "expert", "history")
 REFERENCES = {
     "random": Quality.REFERENCE_RANDOM,
@@ -153,7 +152,7 @@ def _episode_blocks(spec: DatasetSpec, task: Task, name: str) -> Iterator[Block]
         per_rung = spread(count, spec.behaviour.rungs)
     for rung, episodes in enumerate(per_rung):
         for number, rows in _cut(episodes, spec.block):
-            position = rung * RUNG_STRIDE + number
+            position = rung * HISTORY_STRIDE + number
             yield Block("episodes", name, task, quality, position, rows, spec.horizon)
 
 

@@ -32,8 +32,11 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Root of all random numbers of training and adaptation."""
     quality: str = "auto"
     """Episodes to train on: random, medium, expert, history, all; auto = expert or the only one."""
-    threads: int = 0
-    """Threads of torch; 0 = all cores. Another number may change the last bits."""
+    threads: int = 1
+    """Threads of torch; 0 = all cores. Another number may change the last bits.
+
+    One is the default: on two cores two were 1.1 times as fast when idle with passive waiting,
+    and 15 times slower with torch's own (spinning) waits. See docs/log.md, 2026-11-22."""
     target_quantile: float = 0.9
     """Return asked of training tasks in closed loop, as a quantile of their training episodes."""
     backbone: BackboneSettings = BackboneSettings()

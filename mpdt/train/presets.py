@@ -29,7 +29,6 @@ from mpdt.train.teacher import TeacherSettings
 def smoke() -> TrainConfig:
     """Every phase once, in seconds."""
     return TrainConfig(
-        threads=1,  # tiny products on several threads crawl when the machine is busy
         backbone=BackboneSettings(name="random:tiny", dtype="float32"),
         prompts=PromptSettings(length=4),
         sampler=SamplerSettings(window=5, per_task=4),
@@ -50,8 +49,8 @@ def base() -> TrainConfig:
         head=HeadSettings(hidden=256),
         sampler=SamplerSettings(start_bias=30),
         optimiser=OptimiserSettings(schedule="cosine"),
-        teacher=TeacherSettings(steps=1000),
-        multitask=MultitaskSettings(steps=3000),
+        teacher=TeacherSettings(steps=300),
+        multitask=MultitaskSettings(steps=900, checkpoint_every=100),
         evaluation=EvaluationSettings(episodes=5),
     )
 
@@ -65,8 +64,8 @@ def demo() -> TrainConfig:
         head=plain.head,
         sampler=plain.sampler,
         optimiser=plain.optimiser,
-        teacher=TeacherSettings(steps=400),
-        multitask=MultitaskSettings(steps=1000),
+        teacher=TeacherSettings(steps=200),
+        multitask=MultitaskSettings(steps=400, checkpoint_every=100),
         evaluation=EvaluationSettings(episodes=10),
     )
 

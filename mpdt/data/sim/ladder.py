@@ -23,6 +23,7 @@ from mpdt.data.sim.policies import Policy, ScriptedPolicy, UniformPolicy
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Task, get_family
 from mpdt.errors import SpecError, unknown_name
+from mpdt.seeding import HISTORY_STRIDE
 
 QUALITIES = ("random", "medium", "expert", "history")
 
@@ -95,8 +96,6 @@ class ScriptLadder:
         if quality == "expert":
             return self._script(task, 0.0, last, 1.0), 1.0
         if quality == "history":
-            from mpdt.data.sim.network import HISTORY_STRIDE
-
             rung = block // HISTORY_STRIDE
             assert 0 <= rung <= last, "the block number of history holds the rung"
             return self._rung(task, rung), rung / last

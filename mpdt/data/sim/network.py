@@ -25,13 +25,11 @@ from mpdt.data.sim.robots import network_inputs
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.errors import SpecError, unknown_name
-from mpdt.seeding import SeedKey, Stream
+from mpdt.seeding import HISTORY_STRIDE, SeedKey, Stream
 
 Weights = Mapping[str, NDArray[np.float32]]
 
 INPUT_CLIP = 10.0
-HISTORY_STRIDE = 65536
-"""In `history` the block number of the seed key is rung * 65536 + block (DATA rule D1)."""
 
 
 def policy_digest(weights: Weights, noise: float) -> bytes:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from mpdt.data.sim.network import (
-    HISTORY_STRIDE,
     NetworkLadder,
     NetworkPolicy,
     load_rungs,
@@ -22,7 +21,7 @@ from mpdt.data.sim.policies import UniformPolicy
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import SpecError, UsageError
-from mpdt.seeding import Quality, SeedKey, Stream
+from mpdt.seeding import HISTORY_STRIDE, Quality, SeedKey, Stream
 
 FAMILY = get_family("cheetah_dir")
 
