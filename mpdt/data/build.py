@@ -101,7 +101,7 @@ def collect(
         elif finished := find_finished(plan, target, policies):  # by another collector, meanwhile
             folder.delete()
             return Collected(finished, is_new=False)
-        folder.agree(describe_plan(plan, policies))
+        folder.agree(describe_plan(plan))
         size = default_workers() if workers is None else workers
         reports, resumed = _run_missing(plan, folder, size, on_progress or (lambda _: None))
         levels = measure_levels(plan, reports)
@@ -148,15 +148,14 @@ def find_finished(plan: Plan, target: Path, policies: Sequence[PolicyInfo]) -> D
     )
 
 
-def describe_plan(plan: Plan, policies: Sequence[PolicyInfo]) -> dict[str, Any]:
-    """Content of plan.json: all that decides the bytes of the parts."""
+def describe_plan(plan: Plan) -> dict[str, Any]:
+    """Content of plan.json: what decides the bytes of the parts, but for who acts in them."""
     versions, machine = provenance.packages(), provenance.machine()
     return {
         "spec": msgspec.to_builtins(plan.spec),
         "spec_hash": plan.spec_hash,
         "packages": {name: versions[name] for name in PACKAGES if name in versions},
         "machine": {name: machine[name] for name in MACHINE},
-        "policies": [policy.hash.hex() for policy in policies],
         "blocks": [block.label for block in plan.blocks],
     }
 
@@ -193,8 +192,9 @@ def _run_missing(
     reports: list[BlockReport] = []
     missing: list[Block] = []
     damaged = 0
+    known = BlockRunner(plan, folder)  # its ladder says who should have acted
     for block in plan.blocks:
-        if report := report_part(folder, block):
+        if report := report_part(folder, block, known.actor(block)):
             reports.append(report)
         else:
             damaged += folder.part(block).path.exists()

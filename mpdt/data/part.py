@@ -94,15 +94,19 @@ class Part:
                 raise self._damaged(f"digest of row {row} does not match")
         return episodes
 
-    def save_returns(self, returns: npt.NDArray[np.float64]) -> None:
-        """Write the part of a reference block: returns only."""
-        self._save(returns=returns, digest=_bytes_rows([_returns_digest(self.block, returns)]))
+    def save_returns(self, returns: npt.NDArray[np.float64], policy: bytes) -> None:
+        """Write the part of a reference block: returns only, bound to the hash of who acted."""
+        digest = _returns_digest(self.block, returns, policy)
+        self._save(returns=returns, digest=_bytes_rows([digest]))
 
-    def load_returns(self) -> npt.NDArray[np.float64]:
-        """Read a reference block back, shape (rows,). Raises: DataError as `load_episodes`."""
+    def load_returns(self, policy: bytes) -> npt.NDArray[np.float64]:
+        """Read a reference block back, shape (rows,).
+
+        Raises: DataError as `load_episodes`, and if another policy acted.
+        """
         data = self._load("returns")
         returns = data["returns"]
-        if data["digest"].tobytes() != _returns_digest(self.block, returns):
+        if data["digest"].tobytes() != _returns_digest(self.block, returns, policy):
             raise self._damaged("digest does not match")
         if len(returns) != self.block.rows:
             raise self._damaged(f"{len(returns)} of {self.block.rows} returns")
@@ -145,5 +149,5 @@ def _bytes_rows(digests: Sequence[bytes]) -> npt.NDArray[np.uint8]:
     return np.frombuffer(b"".join(digests), dtype=np.uint8).reshape(len(digests), 32)
 
 
-def _returns_digest(block: Block, returns: npt.NDArray[np.float64]) -> bytes:
-    return hashlib.sha256(block.label.encode() + b"\0" + returns.tobytes()).digest()
+def _returns_digest(block: Block, returns: npt.NDArray[np.float64], policy: bytes) -> bytes:
+    return hashlib.sha256(block.label.encode() + b"\0" + policy + returns.tobytes()).digest()

@@ -50,7 +50,7 @@ class BlockRunner:
         part = self.folder.part(block)
         returns = np.array([episode.episode_return for episode in episodes])
         if block.kind == "reference":
-            part.save_returns(returns)
+            part.save_returns(returns, self.actor(block)[0])
         else:
             part.save_episodes(episodes)
         return BlockReport(block, sum(episode.length for episode in episodes), returns)
@@ -76,6 +76,11 @@ class BlockRunner:
             )
         return episodes
 
+    def actor(self, block: Block) -> tuple[bytes, float]:
+        """Hash of who acts in a block, and the progress stored with it."""
+        policy, progress = self._policy(block)
+        return policy.info.hash, progress
+
     def _batch(self, block: Block, rows: int) -> BatchEnv:
         wanted = (block.task.index, rows)
         if self._env is None or self._env[0] != wanted:
@@ -99,19 +104,25 @@ class BlockRunner:
         return self._ladder.policy(block.task, block.name, block.number)
 
 
-def report_part(folder: PartsFolder, block: Block) -> BlockReport | None:
-    """The report of a block that is already done, or None if its part is missing or damaged.
+def report_part(
+    folder: PartsFolder, block: Block, actor: tuple[bytes, float]
+) -> BlockReport | None:
+    """The report of a block that is already done, or None if it has to be done (again).
 
-    Reads and checks the whole part: a resumed dataset must not differ from a fresh one.
+    Reads and checks the whole part: a resumed dataset must not differ from a fresh one. A part
+    where somebody else acted than `actor` (policy hash, progress) does not count, so after a
+    new calibration only the blocks of the rates that changed are done again.
     """
     part = folder.part(block)
     if not part.path.exists():
         return None
     try:
         if block.kind == "reference":
-            return BlockReport(block, 0, part.load_returns())
+            return BlockReport(block, 0, part.load_returns(actor[0]))
         episodes = part.load_episodes()
     except DataError:
+        return None
+    if any((episode.policy, episode.progress) != actor for episode in episodes):
         return None
     returns = np.array([episode.episode_return for episode in episodes])
     return BlockReport(block, sum(episode.length for episode in episodes), returns)

@@ -25,6 +25,9 @@ TASK = get_family("cheetah_dir").tasks[1]
 BLOCK = Block("episodes", "expert", TASK, Quality.EXPERT, 4, 2, 3)
 REFERENCE = Block("reference", "zero", TASK, Quality.REFERENCE_ZERO, 0, 2, 3)
 
+ACTOR = (b"\7" * 32, 0.5)
+"""Hash of the policy that acts in the blocks below, and its progress."""
+
 
 def make_episode(row: int, length: int, successes: bool = False) -> Episode:
     rng = np.random.default_rng([row, length])
@@ -39,8 +42,8 @@ def make_episode(row: int, length: int, successes: bool = False) -> Episode:
         task=1,
         goal=np.arange(row + 1, dtype=np.float64),
         quality=2,
-        progress=0.5,
-        policy=bytes([row]) * 32,
+        progress=ACTOR[1],
+        policy=ACTOR[0],
         seed_key=(0, 1, 2, 4, row),
     )
 
@@ -65,7 +68,7 @@ def test_episodes_come_back_as_they_were(folder: PartsFolder, successes: bool) -
     folder.part(BLOCK).save_episodes(episodes)
     loaded = folder.part(BLOCK).load_episodes()
     assert all(same(a, b) for a, b in zip(episodes, loaded, strict=True))
-    report = report_part(folder, BLOCK)
+    report = report_part(folder, BLOCK, ACTOR)
     assert report is not None
     assert report.steps == 5
     assert report.returns.tolist() == [6.0, 3.0]  # 1 + 2 + 3 and 1 + 2
@@ -73,9 +76,9 @@ def test_episodes_come_back_as_they_were(folder: PartsFolder, successes: bool) -
 
 
 def test_returns_come_back_as_they_were(folder: PartsFolder) -> None:
-    folder.part(REFERENCE).save_returns(np.array([0.1, -2.0]))
-    assert folder.part(REFERENCE).load_returns().tolist() == [0.1, -2.0]
-    report = report_part(folder, REFERENCE)
+    folder.part(REFERENCE).save_returns(np.array([0.1, -2.0]), ACTOR[0])
+    assert folder.part(REFERENCE).load_returns(ACTOR[0]).tolist() == [0.1, -2.0]
+    report = report_part(folder, REFERENCE, ACTOR)
     assert report is not None and report.returns.tolist() == [0.1, -2.0]
 
 
@@ -115,32 +118,42 @@ def _drop_column(path: Path) -> None:
 def test_a_damaged_part_counts_as_missing(folder: PartsFolder, damage: Any) -> None:
     part = folder.part(BLOCK)
     part.save_episodes([make_episode(0, 3), make_episode(1, 2)])
-    assert report_part(folder, BLOCK) is not None
+    assert report_part(folder, BLOCK, ACTOR) is not None
     damage(part.path)
-    assert report_part(folder, BLOCK) is None
+    assert report_part(folder, BLOCK, ACTOR) is None
     with pytest.raises(DataError, match=r"backward-expert-4\.npz"):
         part.load_episodes()
 
 
 def test_damaged_returns_count_as_missing(folder: PartsFolder) -> None:
     part = folder.part(REFERENCE)
-    part.save_returns(np.array([1.0, 2.0]))
+    part.save_returns(np.array([1.0, 2.0]), ACTOR[0])
     with np.load(part.path) as archive:
         arrays = {name: archive[name].copy() for name in archive.files}
     arrays["returns"][1] = 3.0
     with part.path.open("wb") as file:
         np.savez(file, **arrays)
-    assert report_part(folder, REFERENCE) is None
+    assert report_part(folder, REFERENCE, ACTOR) is None
+
+
+def test_a_part_of_another_policy_counts_as_missing(folder: PartsFolder) -> None:
+    """After a new calibration: other weights or rate (hash), or the same at another level."""
+    folder.part(BLOCK).save_episodes([make_episode(0, 3), make_episode(1, 2)])
+    folder.part(REFERENCE).save_returns(np.array([1.0, 2.0]), ACTOR[0])
+    for block in (BLOCK, REFERENCE):
+        assert report_part(folder, block, ACTOR) is not None
+        assert report_part(folder, block, (bytes(32), ACTOR[1])) is None
+    assert report_part(folder, BLOCK, (ACTOR[0], ACTOR[1] / 2)) is None
 
 
 def test_a_part_under_another_blocks_name_counts_as_missing(folder: PartsFolder) -> None:
     folder.part(BLOCK).save_episodes([make_episode(0, 3), make_episode(1, 2)])
     other = Block("episodes", "expert", TASK, Quality.EXPERT, 5, 2, 3)
     folder.part(BLOCK).path.rename(folder.part(other).path)
-    assert report_part(folder, other) is None
+    assert report_part(folder, other, ACTOR) is None
     longer = Block("episodes", "expert", TASK, Quality.EXPERT, 4, 3, 3)
     folder.part(other).path.rename(folder.part(longer).path)
-    assert report_part(folder, longer) is None
+    assert report_part(folder, longer, ACTOR) is None
 
 
 def test_a_full_disk_leaves_no_half_part(
@@ -205,10 +218,10 @@ def test_locked_twice_in_one_process(tmp_path: Path) -> None:
 
 
 def test_a_changed_plan_is_refused_with_its_keys(folder: PartsFolder) -> None:
-    plan = {"spec": {"episodes": {"expert": 400}, "tasks": ("a", "b")}, "policies": ["00"]}
+    plan = {"spec": {"episodes": {"expert": 400}, "tasks": ("a", "b")}}
     folder.agree(plan)
     folder.agree(plan)
-    changed = {"spec": {"episodes": {"expert": 500}, "tasks": ("a", "b")}, "policies": ["00"]}
+    changed = {"spec": {"episodes": {"expert": 500}, "tasks": ("a", "b")}}
     with pytest.raises(DataError, match=r"spec\.episodes\.expert 400 -> 500") as caught:
         folder.agree(changed)
     assert "--restart" in caught.value.hint
@@ -220,7 +233,7 @@ def test_parts_without_a_readable_plan_are_dropped(folder: PartsFolder) -> None:
     folder.part(BLOCK).save_episodes([make_episode(0, 3), make_episode(1, 2)])
     (folder.path / "plan.json").write_text("{half")
     folder.agree({"spec": {}})
-    assert report_part(folder, BLOCK) is None
+    assert report_part(folder, BLOCK, ACTOR) is None
 
 
 def test_changed_keys_by_hand() -> None:
