@@ -51,7 +51,7 @@ def test_time_table_must_hold_the_episodes() -> None:
 
 def test_time_table_must_hold_a_longer_evaluation() -> None:
     longer = TrainConfig(inputs=InputSettings(time_table=9), evaluation=FITS.evaluation)
-    with pytest.raises(UsageError, match="inputs.time_table"):
+    with pytest.raises(UsageError, match=r"inputs\.time_table"):
         check_fits(Shape(max_positions=1000), longer, 5)
 
 
