@@ -7,20 +7,19 @@ blocks/*.npz      one finished block each: there completely, or not there
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from mpdt.data.part import Part
 from mpdt.data.plan import Block
+from mpdt.data.store.lock import take_lock
 from mpdt.data.store.replacement import disk, replacing
-from mpdt.errors import BusyError, DataError
+from mpdt.errors import DataError
 
 
 @dataclass(frozen=True)
@@ -43,35 +42,14 @@ class PartsFolder:
         Raises: BusyError with the other collector's process id; StorageError.
         """
         with disk(self.path):
-            lock = self._take_lock()
+            lock = take_lock(
+                self.path / "collector.pid", "another collector holds this target", self.target,
+                "finished blocks are kept",
+            )  # fmt: skip
+            (self.path / "blocks").mkdir(exist_ok=True)
         try:
             yield
         finally:
-            lock.close()
-
-    def _take_lock(self) -> IO[str]:
-        name = self.path / "collector.pid"
-        while True:
-            (self.path / "blocks").mkdir(parents=True, exist_ok=True)
-            lock = name.open("a+", encoding="ascii")
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                lock.seek(0)
-                owner = lock.read().strip() or "unknown"
-                lock.close()
-                raise BusyError(
-                    f"another collector holds this target (process {owner})",
-                    where=str(self.target),
-                    hint=f"wait for it, or end it with `kill {owner}`; finished blocks are kept",
-                ) from None
-            # The folder may have been deleted by a collector that just finished.
-            if name.exists() and os.fstat(lock.fileno()).st_ino == name.stat().st_ino:
-                (self.path / "blocks").mkdir(exist_ok=True)
-                lock.truncate(0)
-                lock.write(str(os.getpid()))
-                lock.flush()
-                return lock
             lock.close()
 
     def agree(self, plan: dict[str, Any]) -> None:
