@@ -22,8 +22,8 @@ import numpy.typing as npt
 
 from mpdt.data.episode import Episode
 from mpdt.data.plan import Block
+from mpdt.data.replacement import disk, replacing
 from mpdt.data.store.digest import episode_digest
-from mpdt.data.store.replacement import disk, replacing
 from mpdt.errors import DataError
 
 _COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")

@@ -17,8 +17,8 @@ from typing import Any
 
 from mpdt.data.part import Part
 from mpdt.data.plan import Block
+from mpdt.data.replacement import disk, replacing
 from mpdt.data.store.lock import take_lock
-from mpdt.data.store.replacement import disk, replacing
 from mpdt.errors import DataError
 
 

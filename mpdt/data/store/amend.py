@@ -14,12 +14,12 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mpdt.data.replacement import disk, replacing, reserve
 from mpdt.data.store import columns, layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_header
 from mpdt.data.store.inherit import task_rows
 from mpdt.data.store.reader import open_dataset, read_file
-from mpdt.data.store.replacement import disk, replacing, reserve
 from mpdt.data.store.sources import TtaSource
 from mpdt.data.store.tables import Int64, Slice, Stats
 from mpdt.data.store.ttaset import fill_tta

@@ -18,12 +18,12 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mpdt.data.replacement import disk, replacing, reserve
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store import columns, layout, provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash, episode_digest
 from mpdt.data.store.reader import open_dataset, read_file
-from mpdt.data.store.replacement import disk, replacing, reserve
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import Additions, Slice, Stats, TaskRow
 from mpdt.data.store.ttaset import fill_tta

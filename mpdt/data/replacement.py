@@ -1,4 +1,4 @@
-"""Replace a file all at once or not at all."""
+"""Replace a file all at once or not at all, and say clearly what the disk refuses."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from pathlib import Path
 
 from mpdt.errors import MpdtError, StorageError
 
+# HDF5 often keeps the text of an error only, hence both.
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_FULL_TEXTS = ("No space left", "File too large")
+_READ_ONLY, _READ_ONLY_TEXT = errno.EROFS, "Read-only file system"
+_FORBIDDEN = {errno.EACCES, errno.EPERM}
+_FORBIDDEN_TEXTS = ("Permission denied", "Operation not permitted")
 
 
 @contextmanager
@@ -24,12 +29,7 @@ def replacing(target: Path) -> Iterator[Path]:
     Raises: StorageError where the disk refuses.
     """
     temporary = target.with_name(target.name + ".tmp")
-    with disk(target):
-        if not target.parent.is_dir():
-            raise StorageError("folder does not exist", where=str(target.parent),
-                               hint=f"mkdir -p {target.parent}")  # fmt: skip
-        if target.is_dir():
-            raise StorageError("a folder is in the way", where=str(target))
+    _check_place(target)
     try:
         yield temporary
         with disk(target):
@@ -40,6 +40,28 @@ def replacing(target: Path) -> Iterator[Path]:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
+
+
+def check_replaceable(target: Path) -> None:
+    """Try to write beside `target`, before the work whose result is to go there.
+
+    Raises: StorageError where `replacing` would.
+    """
+    _check_place(target)
+    temporary = target.with_name(target.name + ".tmp")
+    with disk(target):
+        temporary.touch()
+        temporary.unlink()
+
+
+def _check_place(target: Path) -> None:
+    with disk(target):
+        if not target.parent.is_dir():
+            raise StorageError("folder does not exist", where=str(target.parent),
+                               hint=f"mkdir -p {target.parent}")  # fmt: skip
+        if target.is_dir():
+            raise StorageError("a folder is in the way", where=str(target),
+                               hint="choose another name with -o")  # fmt: skip
 
 
 @contextmanager
@@ -53,11 +75,22 @@ def disk(target: Path) -> Iterator[None]:
     except MpdtError:
         raise
     except (OSError, RuntimeError) as error:
-        code = error.errno if isinstance(error, OSError) else None
-        full = code in _FULL or "No space left" in str(error) or "File too large" in str(error)
-        hint = "make room there, or choose another folder with -o" if full else ""
-        what = "the disk is full" if full else "cannot be written"
+        what, hint = _explain(error)
         raise StorageError(what, where=str(target), found=str(error), hint=hint) from error
+
+
+def _explain(error: OSError | RuntimeError) -> tuple[str, str]:
+    """What is wrong, and what to do next."""
+    code, text = getattr(error, "errno", None), str(error)
+    if code in _FULL or any(part in text for part in _FULL_TEXTS):
+        return "the disk is full", "make room there, or choose another folder with -o"
+    if code == _READ_ONLY or _READ_ONLY_TEXT in text:
+        return "the disk is read-only", "choose another folder with -o"
+    if code in _FORBIDDEN or any(part in text for part in _FORBIDDEN_TEXTS):
+        return "no permission to write", (
+            "choose another folder with -o, or ask whoever owns it (ls -ld shows who)"
+        )
+    return "cannot be written", "choose another folder or name with -o"
 
 
 def sync(path: Path) -> None:
