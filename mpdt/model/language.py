@@ -14,9 +14,7 @@ import io
 import json
 import logging
 import os
-import threading
-import urllib.request
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,13 +22,13 @@ import torch
 from torch import Tensor
 
 from mpdt.errors import BackboneError, nearest
+from mpdt.model.hub import UnreachableError, is_local, quiet, unreachable
 
 DtypeName = Literal["auto", "float32", "bfloat16"]
 
 _log = logging.getLogger(__name__)
 
 _SMOLLM2_FILE = "SmolLM2-135M-Instruct.Q4_1.gguf"
-_PROBE_S = 3.0
 _SUPPORTED = ("gpt2", "llama")  # explicit masks and positions are tested with these two
 
 # Shapes of untrained models. The tiny ones start with larger weights, so that a test can see
@@ -46,6 +44,7 @@ _SHAPES: dict[str, dict[str, Any]] = {
     "tiny": {
         "model_type": "gpt2", "vocab_size": 256, "n_embd": 64, "n_layer": 2, "n_head": 2,
         "n_positions": 256, "initializer_range": 0.2,
+        "bos_token_id": None, "eos_token_id": None,  # the defaults lie outside this vocabulary
     },
     "tiny-llama": {
         "model_type": "llama", "vocab_size": 256, "hidden_size": 64, "intermediate_size": 128,
@@ -67,7 +66,11 @@ def read_language_model(
 ) -> tuple[str, Any]:
     """The model without its head, its first `depth` blocks, and the name `auto` stood for."""
     if name == "auto":
-        name = "gpt2" if _gpt2_at_hand() else "smollm2-135m"
+        try:
+            return "gpt2", _from_hub("gpt2", depth)
+        except UnreachableError as error:
+            _log.info("auto takes smollm2-135m: %s", error)
+            name = "smollm2-135m"
     if name == "random" or name.startswith("random:"):
         return _random(name, depth, seed)
     if name == "smollm2-135m":
@@ -130,60 +133,33 @@ def _random(name: str, depth: int | None, seed: int) -> tuple[str, Any]:
     return f"random:{shape}", model
 
 
-def _gpt2_at_hand() -> bool:
-    from huggingface_hub import constants, try_to_load_from_cache
-
-    if isinstance(try_to_load_from_cache("gpt2", "model.safetensors"), str):
-        return True
-    if constants.HF_HUB_OFFLINE:
-        return False
-    url = f"{constants.ENDPOINT}/gpt2/resolve/main/model.safetensors"
-    return _answers(url)
-
-
-def _answers(url: str) -> bool:
-    """One request, given up after `_PROBE_S` whatever the name look-up does."""
-    answered = threading.Event()
-
-    def ask() -> None:
-        try:
-            request = urllib.request.Request(url, method="HEAD")
-            with urllib.request.urlopen(request, timeout=_PROBE_S):
-                answered.set()
-        except (OSError, ValueError) as error:
-            _log.debug("%s does not answer: %s", url, error)
-
-    thread = threading.Thread(target=ask, daemon=True)
-    thread.start()
-    thread.join(_PROBE_S)
-    return answered.is_set()
-
-
 def _from_hub(name: str, depth: int | None) -> Any:
     from transformers import AutoConfig, AutoModel
 
+    known = ["gpt2", "smollm2-135m", "random", *(f"random:{shape}" for shape in _SHAPES)]
+    local = is_local(name, known)
     try:
-        with _quiet():
-            try:
-                config = AutoConfig.from_pretrained(name, local_files_only=True)
-                local = True
-            except OSError:
-                config = AutoConfig.from_pretrained(name)
-                local = Path(name).is_dir()
+        with quiet():
+            config = AutoConfig.from_pretrained(name, local_files_only=local)
             config = _truncate(config, depth, name)
             # Safetensors only: loading a pickle would run its code.
             return AutoModel.from_pretrained(
                 name, config=config, dtype=torch.float32, local_files_only=local,
                 use_safetensors=True,
             )  # fmt: skip
-    except (OSError, ValueError) as error:
-        if isinstance(error, BackboneError):
+    except BackboneError:
+        raise
+    except Exception as error:  # the transport's errors have another base in every version
+        found = (str(error).splitlines() or [type(error).__name__])[0][:160]
+        if not local:
+            raise unreachable(name, found, known) from error
+        if not isinstance(error, OSError | ValueError):
             raise
         raise BackboneError(
             "cannot read this language model",
             where=name,
-            found=str(error).splitlines()[0][:160],
-            hint="known without a network: smollm2-135m, random:gpt2, random:tiny, or a folder",
+            found=found,
+            hint=f"known without a network: {', '.join(known[1:])}, or another folder",
         ) from error
 
 
@@ -200,7 +176,7 @@ def _smollm2(depth: int | None, dtype: torch.dtype) -> Any:
 
     # The shape is known by heart: reading it from the file parses the whole vocabulary again.
     config = _truncate(AutoConfig.for_model(**_SHAPES["smollm2-135m"]), depth, "smollm2-135m")
-    with _quiet(), contextlib.redirect_stderr(io.StringIO()):  # a progress bar without a switch
+    with quiet(), contextlib.redirect_stderr(io.StringIO()):  # a progress bar without a switch
         model = AutoModel.from_pretrained(
             str(file.parent), gguf_file=file.name, config=config, dtype=torch.float32
         )
@@ -249,7 +225,7 @@ def _read_cache(path: Path) -> Any | None:
     fields = json.loads(header["config"])
     config = AutoConfig.for_model(fields.pop("model_type"), **fields)
     kind = MODEL_MAPPING[type(config)]
-    with _quiet():
+    with quiet():
         # Sets the buffers (rotary frequencies) up as well, which assigning tensors would not.
         return kind.from_pretrained(None, config=config, state_dict=tensors, dtype=config.dtype)
 
@@ -271,19 +247,3 @@ def _write_cache(path: Path, model: Any, dtype: torch.dtype) -> None:
         with contextlib.suppress(OSError):
             partial.unlink()
         _log.info("weights are not cached: %s", error)
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """No progress bars and no report of the blocks left out on purpose."""
-    from transformers.utils import logging as talk
-
-    level, bars = talk.get_verbosity(), talk.is_progress_bar_enabled()
-    talk.set_verbosity_error()
-    talk.disable_progress_bar()
-    try:
-        yield
-    finally:
-        talk.set_verbosity(level)
-        if bars:
-            talk.enable_progress_bar()
