@@ -137,6 +137,7 @@ def test_auto_takes_gpt2_and_keeps_its_mistakes(monkeypatch: pytest.MonkeyPatch)
     def refuse(name: str, depth: int) -> None:
         raise BackboneError("impossible depth")
 
+    monkeypatch.setattr(language, "_smollm2", lambda depth, dtype: "another model")
     monkeypatch.setattr(language, "_from_hub", refuse)
     with pytest.raises(BackboneError, match="impossible depth"):
         language.read_language_model("auto", 99, torch.float32, 0)
