@@ -23,6 +23,7 @@ from torch import Tensor, nn
 
 from mpdt.errors import BackboneError, ShapeError
 from mpdt.model.language import DtypeName, fingerprint, pick_dtype, read_language_model
+from mpdt.model.limits import check_at_least
 from mpdt.model.prefix import NO_PREFIX, PrefixCache
 
 
@@ -39,6 +40,10 @@ class BackboneSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Seed of the weights of a random backbone, together with its depth."""
     frozen: bool = True
     """False trains every weight (baselines that train the whole model from scratch)."""
+
+    def __post_init__(self) -> None:
+        if self.depth is not None:
+            check_at_least("backbone.depth", self.depth, 1)
 
 
 class Backbone(nn.Module):
@@ -97,6 +102,7 @@ class Backbone(nn.Module):
         if prompts is None or prompts.shape[1] == 0:
             return NO_PREFIX
         self._check_width(prompts, "prompts", 3)
+        self._check_room(prompts.shape[1], 0)
         cache = NO_PREFIX.as_model_cache()
         self.model(inputs_embeds=prompts.to(self.dtype), past_key_values=cache, use_cache=True)
         return PrefixCache.of_model_cache(cache)
@@ -128,6 +134,7 @@ class Backbone(nn.Module):
                 expected=f"{n} prompts",
                 found=str(prompts.shape[0]),
             )
+        self._check_room(0 if prompts is None else prompts.shape[1], tokens.shape[2])
         prefix = self.encode_prefix(prompts).repeat(M)
         hidden, features = self.forward_with_cache(
             prefix,
@@ -150,14 +157,7 @@ class Backbone(nn.Module):
         step of a closed loop.
         """
         length = prefix.length
-        if length + tokens.shape[1] > self.max_positions:
-            raise BackboneError(
-                "soft prompt and window are longer than the model",
-                where=self.name,
-                expected=f"at most {self.max_positions} positions",
-                found=f"{length} + {tokens.shape[1]}",
-                hint="shorten the prompt or the context",
-            )
+        self._check_room(length, tokens.shape[1])
         with _block_outputs(self._blocks(), layer_features) as outputs:
             result = self.model(
                 inputs_embeds=tokens.to(self.dtype),
@@ -173,6 +173,16 @@ class Backbone(nn.Module):
         blocks = self.model.h if self.model.config.model_type == "gpt2" else self.model.layers
         assert isinstance(blocks, nn.ModuleList)
         return blocks
+
+    def _check_room(self, length: int, tokens: int) -> None:
+        if length + tokens > self.max_positions:
+            raise BackboneError(
+                "soft prompt and window are longer than the model",
+                where=self.name,
+                expected=f"at most {self.max_positions} positions",
+                found=f"{length} + {tokens}",
+                hint="shorten the prompt or the context",
+            )
 
     def _check_width(self, x: Tensor, what: str, axes: int) -> None:
         if x.dim() != axes or x.shape[-1] != self.width:

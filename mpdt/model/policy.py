@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mpdt.model.backbone import Backbone
+from mpdt.model.limits import check_at_least
 from mpdt.model.prefix import PrefixCache
 from mpdt.model.returns import ReturnTable
 from mpdt.model.tokens import InputMap, InputSettings
@@ -32,6 +33,10 @@ class HeadSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Trained gain and bias of the LayerNorm."""
     tanh: bool = False
     """Bounds the output; targets beyond +-1 can then not be reached."""
+
+    def __post_init__(self) -> None:
+        if self.hidden is not None:
+            check_at_least("head.hidden", self.hidden, 0)
 
 
 class Windows(Protocol):

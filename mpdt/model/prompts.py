@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from mpdt.errors import ShapeError, SpecError
+from mpdt.model.limits import check_above_zero, check_at_least
 
 Start = Literal["cross", "cross_mean", "cross_random", "cross_one", "none"]
 
@@ -32,6 +33,13 @@ class PromptSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """normal: v_k, u_k ~ N(0, 1), the paper's. ones: P_k starts near 1, P_c alone is a policy."""
     task_noise: float = 0.1
     """Spread around the start `ones`; the tasks must not start equal in every rank."""
+
+    def __post_init__(self) -> None:
+        check_at_least("prompts.length", self.length, 1)
+        check_at_least("prompts.rank", self.rank, 1)
+        if self.init_std != "embedding":
+            check_above_zero("prompts.init_std", self.init_std)
+        check_at_least("prompts.task_noise", self.task_noise, 0)
 
 
 class DecomposedPrompts(nn.Module):

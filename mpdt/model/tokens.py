@@ -19,7 +19,8 @@ import torch.nn.functional as F
 from einops import rearrange
 from torch import Tensor, nn
 
-from mpdt.errors import BackboneError, ShapeError, SpecError
+from mpdt.errors import BackboneError, ShapeError, SpecError, UsageError
+from mpdt.model.limits import check_above_zero, check_at_least
 
 STD_FLOOR = 1e-6  # Prompt-DT's; keeps columns that never move from dividing by zero
 _MIN_RESIDUAL = 0.25  # share of a row's norm outside the span of the rows before it
@@ -47,6 +48,17 @@ class InputSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     time_table: int = 1000
     """Rows of the trained time-step table, at least the horizon; 0 leaves it out."""
     tokens_per_step: Literal[1, 3] = 1
+
+    def __post_init__(self) -> None:
+        check_at_least("inputs.time_table", self.time_table, 0)
+        check_at_least("inputs.observation_clip", self.observation_clip, 0)
+        check_above_zero("inputs.scale", self.scale)
+        if not 0 <= self.return_dropout < 1:
+            raise UsageError(
+                "setting out of range", where="inputs.return_dropout",
+                expected="at least 0 and below 1", found=str(self.return_dropout),
+                hint="to never show a return-to-go: --inputs.return-to-go none",
+            )  # fmt: skip
 
 
 class InputMap(nn.Module):

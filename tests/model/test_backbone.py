@@ -184,6 +184,11 @@ def test_too_long_and_misshapen_inputs(gpt2_shaped: Backbone) -> None:
     mask = torch.ones(1, 1, 200, dtype=torch.bool)
     with pytest.raises(BackboneError, match="at most 256 positions, found 60 \\+ 200"):
         gpt2_shaped(numbers(1, 60, 64), numbers(1, 1, 200, 64), mask)
+    # Refused before the prompt is run: the positions of 300 are not there to be looked up.
+    with pytest.raises(BackboneError, match="found 300 \\+ 200"):
+        gpt2_shaped(numbers(1, 300, 64), numbers(1, 1, 200, 64), mask)
+    with pytest.raises(BackboneError, match="found 257 \\+ 0"):
+        gpt2_shaped.encode_prefix(numbers(1, 257, 64))
     with pytest.raises(ShapeError, match="the last of width 64"):
         gpt2_shaped(None, numbers(1, 1, 200, 63), mask)
     with pytest.raises(ShapeError, match="1 prompts, found 2"):
