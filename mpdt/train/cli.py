@@ -12,11 +12,15 @@ Results go to stdout, talk to stderr. torch is imported in the bodies, so `--hel
 from __future__ import annotations
 
 import logging
+import os
+import shlex
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -36,7 +40,8 @@ class Run:
     Runs by default, without a subcommand. A run with the same settings and data in the same
     folder continues where it stopped. Every setting of every part can be given as well, for
     example --seed 1, --quality medium, --inputs.return-to-go none, --prompts.length 9;
-    `mpdt-train settings` lists them all. Other commands: settings, report.
+    `mpdt-train settings` lists them all. After training, other --adapt, --statistics and
+    --evaluation settings judge the same weights again. Other commands: settings, report.
     """
 
     data: str
@@ -52,7 +57,8 @@ class Run:
     steps: int | None = None
     """Updates of P_c and P_k; the teacher keeps its share. Short for --multitask.steps."""
     time_limit_s: float = 0.0
-    """End training after so many seconds and go on with what there is; 0 = never."""
+    """End training after so many seconds and judge what there is; the same command trains on.
+    0 = never."""
     json: bool = False
     """Print results.json instead of tables."""
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
@@ -93,6 +99,23 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the script. Exits with the code of the error; 130 or 143 if stopped."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     verb = arguments.pop(0) if arguments and not arguments[0].startswith("-") else "run"
+    # Until a run listens nothing is begun that could be lost, and libraries in the middle of
+    # their import answer KeyboardInterrupt with anything from a traceback to silence.
+    before = signal.signal(signal.SIGINT, _leave)
+    try:
+        code = _answer(verb, arguments)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    sys.exit(code)
+
+
+def _leave(_number: int, _frame: FrameType | None) -> None:
+    os.write(2, b"\ninterrupted\n")
+    os._exit(130)
+
+
+def _answer(verb: str, arguments: list[str]) -> int:
+    """Parse and run; the exit code."""
     verbose = bool({"-v", "--verbose"} & set(arguments))
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, format="%(message)s")
     try:
@@ -104,13 +127,12 @@ def main(argv: Sequence[str] | None = None) -> None:
             COMMANDS[verb], prog=PROG if verb == "run" else f"{PROG} {verb}",
             args=arguments, return_unknown_args=True,
         )  # fmt: skip
-        code = execute(command, rest)
+        return execute(command, rest)
     except MpdtError as error:
         if verbose:
             traceback.print_exc()
         sys.stderr.write(error.render() + "\n")
-        code = error.exit_code
-    sys.exit(code)
+        return error.exit_code
 
 
 def execute(command: Command, rest: list[str]) -> int:
@@ -150,7 +172,7 @@ def _run(command: Run, rest: list[str]) -> int:
     except Stopped as stopped:
         sys.stderr.write(f"\n{stopped}; saved. Continue with the same command:\n")
         given = [word for word in sys.argv[1:] if word != "--restart"]
-        sys.stderr.write(f"  {PROG} {' '.join(given)}\n")
+        sys.stderr.write(f"  {PROG} {shlex.join(given)}\n")
         return stopped.exit_code
     print_results(results, command.json)
     return 0

@@ -1,4 +1,4 @@
-"""TrainConfig: the parts' own settings put together, frozen, and their identity.
+"""TrainConfig: the parts' own settings put together, frozen.
 
 Nothing is defined twice: each part owns its settings, this file only composes them. Numbers
 that were chosen for a purpose live in presets.py.
@@ -6,7 +6,6 @@ that were chosen for a purpose live in presets.py.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from typing import Any
 
@@ -72,13 +71,6 @@ def from_plain(plain: dict[str, Any]) -> TrainConfig:
         return msgspec.convert(plain, TrainConfig)
     except msgspec.ValidationError as error:
         raise SpecError("not a training configuration", found=str(error)) from error
-
-
-def identity(config: TrainConfig, content_hash: str, slice_name: str | None) -> str:
-    """SHA-256 over the canonical JSON of settings and data: what makes two runs the same."""
-    whole = {"config": to_plain(config), "content_hash": content_hash, "slice": slice_name}
-    text = json.dumps(whole, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def differences(old: dict[str, Any], new: dict[str, Any], prefix: str = "") -> list[str]:

@@ -1,9 +1,10 @@
 """The folder of one run: whose it is, and the names of what lies in it.
 
 runs/<name>/
-  config.json           settings, data and backbone; refuses another run
+  config.json           settings and data; refuses another run
+  run.pid               lock of the process at work, while there is one
   metrics.jsonl         losses while it goes
-  checkpoint.safetensors   exact resume, until the run is done
+  checkpoint-PHASE.safetensors   exact resume, until the phase has all its updates
   teacher.safetensors   teacher prompts with their time table and head
   weights.safetensors   the trained policy, trainables only
   results.json, report.md
@@ -12,38 +13,45 @@ runs/<name>/
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mpdt.data.replacement import disk
+from mpdt.data.store.lock import take_lock
 from mpdt.errors import StorageError, TrainingError, UsageError
-from mpdt.train.config import TrainConfig, differences, identity, to_plain
-from mpdt.train.material import Material
+from mpdt.train.config import differences
+from mpdt.train.identity import Identity
 from mpdt.train.results import MetricsLog, write_atomic
 
-FORMAT = "mpdt-run/1"
+FORMAT = "mpdt-run/2"
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """An opened folder; `identity` is the hash of settings and data."""
+    """The names in one folder, which may not exist yet."""
 
     path: Path
-    identity: str
 
     @property
     def config(self) -> Path:
         return self.path / "config.json"
 
     @property
+    def lock(self) -> Path:
+        return self.path / "run.pid"
+
+    @property
     def log(self) -> MetricsLog:
         return MetricsLog(self.path / "metrics.jsonl")
 
-    @property
-    def checkpoint(self) -> Path:
-        return self.path / "checkpoint.safetensors"
+    def checkpoint(self, phase: str) -> Path:
+        return self.path / f"checkpoint-{phase}.safetensors"
 
     @property
     def teacher(self) -> Path:
@@ -62,94 +70,111 @@ class RunFolder:
         return self.path / "report.md"
 
 
-def open_folder(
-    runs_dir: Path, name: str, config: TrainConfig, material: Material, restart: bool
-) -> RunFolder:
-    """Create the folder, or continue in it if it belongs to the same settings and data.
-
-    Args:
-        restart: throw away what an earlier run left there.
-    Raises: UsageError for a bad name, TrainingError for a folder of another run,
-        StorageError where the disk refuses.
-    """
+def locate(runs_dir: Path, name: str) -> RunFolder:
+    """The folder of that name; touches no disk. Raises: UsageError for a bad name."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name):
         raise UsageError(f"'{name}' cannot name a run", where="--name",
                          expected="letters, digits, . _ + -")  # fmt: skip
-    path = runs_dir / name
-    dataset = material.dataset
-    folder = RunFolder(path, identity(config, dataset.content_hash, material.slice))
-    if restart and path.exists():
-        _remove(path)
-    if folder.config.exists():
-        _compare(folder, config, material)
-        return folder
-    if path.exists() and any(path.iterdir()):
-        raise TrainingError("this folder holds files but no run", where=str(path),
-                            hint="choose another --name, or move it away")  # fmt: skip
+    return RunFolder(runs_dir / name)
+
+
+def inspect(folder: RunFolder, identity: Identity, restart: bool) -> None:
+    """Whether this run may be in there; changes nothing.
+
+    Args:
+        restart: what an earlier run left may be another's, for it will go.
+    Raises: TrainingError for a folder of another run or of no run at all, StorageError
+        where the disk would refuse.
+    """
+    path = folder.path
+    with disk(path):
+        existing = next(place for place in (path, *path.absolute().parents) if place.exists())
+        if not existing.is_dir():
+            raise StorageError("a file is in the way", where=str(existing),
+                               expected="a folder", hint=_ELSEWHERE)  # fmt: skip
+        if not os.access(existing, os.R_OK | os.W_OK | os.X_OK):
+            raise StorageError("no permission to write there", where=str(existing), hint=_ELSEWHERE)
+        if existing != path:
+            return
+        if folder.config.exists():
+            if not restart:
+                _compare(folder, identity)
+        elif any(entry.name not in _LEFTOVERS for entry in path.iterdir()):
+            raise TrainingError("this folder holds files but no run", where=str(path),
+                                hint="choose another --name, or move it away")  # fmt: skip
+
+
+@contextmanager
+def claimed(folder: RunFolder, identity: Identity, restart: bool) -> Iterator[None]:
+    """Create the folder or continue in it, and keep every other process out of it.
+
+    Args:
+        restart: throw away what an earlier run left there.
+    Raises: as `inspect`; BusyError with the process id of who is at work there.
+    """
+    inspect(folder, identity, restart)
+    with disk(folder.path):
+        lock = take_lock(
+            folder.lock, "another mpdt-train is at work in this folder", folder.path,
+            "it writes a checkpoint before it ends",
+        )  # fmt: skip
     try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"cannot be created: {error.strerror}", where=str(path),
-                           hint="choose another --runs-dir") from error  # fmt: skip
-    _write_config(folder, config, material)
-    return folder
+        inspect(folder, identity, restart)  # again: only now nobody else can change it
+        if restart:
+            _clear(folder)
+        stored = {"format": FORMAT, "training": identity.training, "judging": identity.judging}
+        write_atomic(folder.config, (json.dumps(stored, indent=1) + "\n").encode())
+        yield
+    finally:
+        with suppress(OSError):
+            folder.lock.unlink(missing_ok=True)
+            folder.path.rmdir()  # only if nothing was written: a full disk leaves no trace
+        lock.close()
 
 
-def read_config(folder: RunFolder) -> dict[str, Any]:
+def _compare(folder: RunFolder, identity: Identity) -> None:
+    """Raises: TrainingError naming what differs from the training of the run that is there."""
+    stored = _read_config(folder)
+    changed = differences(stored.get("training", {}), identity.training)
+    if changed:
+        text = "; ".join(changed[:4]) + (f" and {len(changed) - 4} more" if changed[4:] else "")
+        raise TrainingError(
+            "another run lives in this folder",
+            where=str(folder.path),
+            found=re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1", text),
+            hint=f"keep both with --name {folder.path.name}-2, or begin anew with --restart",
+        )
+
+
+def _read_config(folder: RunFolder) -> dict[str, Any]:
     """Raises: TrainingError if config.json is not what a run writes."""
     try:
         stored: dict[str, Any] = json.loads(folder.config.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        found = str(stored.get("format"))
+    except (OSError, ValueError, AttributeError) as error:
         raise TrainingError("unreadable", where=str(folder.config), found=str(error),
                             hint="begin anew with --restart") from error  # fmt: skip
-    if stored.get("format") != FORMAT:
+    if found != FORMAT:
         raise TrainingError(
             "not a run of this version",
             where=str(folder.config),
             expected=FORMAT,
-            found=str(stored.get("format")),
+            found=found,
             hint="choose another --name, or begin anew with --restart",
         )
     return stored
 
 
-def _write_config(folder: RunFolder, config: TrainConfig, material: Material) -> None:
-    stored = {
-        "format": FORMAT,
-        "identity": folder.identity,
-        "data": {
-            "file": material.dataset.path.name,
-            "name": material.dataset.name,
-            "content_hash": material.dataset.content_hash,
-            "slice": material.slice,
-            "quality": material.quality,
-        },
-        "config": to_plain(config),
-    }
-    write_atomic(folder.config, (json.dumps(stored, indent=1) + "\n").encode())
+def _clear(folder: RunFolder) -> None:
+    """Remove everything but the lock; config.json last, so that a kill leaves a run's folder."""
+    with disk(folder.path):
+        for entry in sorted(folder.path.iterdir(), key=lambda entry: entry == folder.config):
+            if entry.is_dir() and not entry.is_symlink():
+                shutil.rmtree(entry)
+            elif entry != folder.lock:
+                entry.unlink()
 
 
-def _compare(folder: RunFolder, config: TrainConfig, material: Material) -> None:
-    stored = read_config(folder)
-    if stored["identity"] == folder.identity:
-        return
-    data = {"content_hash": material.dataset.content_hash, "slice": material.slice}
-    changed = differences({key: stored["data"].get(key) for key in data}, data, "data.")
-    changed += differences(stored["config"], json.loads(json.dumps(to_plain(config))))
-    raise TrainingError(
-        "another run lives in this folder",
-        where=str(folder.path),
-        found="; ".join(changed[:4]) + (f" and {len(changed) - 4} more" if changed[4:] else ""),
-        hint=f"keep both with --name {folder.path.name}-2, or begin anew with --restart",
-    )
-
-
-def _remove(path: Path) -> None:
-    """Only a folder that holds a run: --restart with a wrong --name must not eat anything."""
-    if any(path.iterdir()) and not (path / "config.json").exists():
-        raise TrainingError("this folder holds files but no run; it is not removed",
-                            where=str(path), hint="choose another --name")  # fmt: skip
-    try:
-        shutil.rmtree(path)
-    except OSError as error:
-        raise StorageError(f"cannot be removed: {error.strerror}", where=str(path)) from error
+_ELSEWHERE = "choose another --name or --runs-dir"
+# What a kill in the first moment leaves in a new folder.
+_LEFTOVERS = ("run.pid", "config.json.tmp")

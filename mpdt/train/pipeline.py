@@ -10,17 +10,19 @@ from typing import Any
 
 import torch
 
+from mpdt.data.replacement import disk
+from mpdt.errors import UsageError
 from mpdt.model.backbone import from_settings
-from mpdt.train.adapt import find_tta_set
 from mpdt.train.config import TrainConfig, to_plain
-from mpdt.train.folder import RunFolder, open_folder
+from mpdt.train.folder import claimed, inspect, locate
+from mpdt.train.identity import Identity, identify
 from mpdt.train.judge import Judge
 from mpdt.train.material import Material, load_material
 from mpdt.train.progress import Progress
 from mpdt.train.report import build_tables, render_markdown
 from mpdt.train.results import encode_results, write_atomic
 from mpdt.train.run import Trained, Trainer, count_trainables
-from mpdt.train.show import read_results
+from mpdt.train.show import find_results
 from mpdt.train.state import StopRequest
 
 FORMAT = "mpdt-results/1"
@@ -39,47 +41,74 @@ def run_pipeline(
     """Do, continue or look up one run; returns the content of its results.json.
 
     Raises: Stopped after a signal, with everything saved that can be; MpdtError for what the
-        user can mend, before anything is trained where that can be known.
+        user can mend, before anything is written or trained where that can be known.
     """
+    if not time_limit_s >= 0:
+        raise UsageError("setting out of range", where="--time-limit-s",
+                         expected="at least 0", found=str(time_limit_s))  # fmt: skip
+    folder = locate(runs_dir, name)
     material = load_material(data, config.quality)
-    if config.adapt.needs_set and material.test_rows:
-        find_tta_set(material.dataset, material.test_rows, config.adapt)
     if config.statistics.source == "random" and config.adapt.needs_set:
         material.random_ids()
+    identity = identify(config, material)
     progress.say(_describe(material))
-    folder = open_folder(runs_dir, name, config, material, restart)
-    if folder.results.exists():
+    if not restart and (results := find_results(folder.path, identity.hashes)):
         progress.say(f"this run is done: {folder.path} (again: --restart)")
-        return read_results(folder.path)
+        return results
+    inspect(folder, identity, restart)
+    stop.check()
     torch.set_num_threads(config.threads or len(os.sched_getaffinity(0)))
     backbone = from_settings(config.backbone)
     progress.say(
         f"backbone {backbone.name}, {backbone.num_layers} blocks of width {backbone.width}, "
         f"{str(backbone.dtype).removeprefix('torch.')}, weights {backbone.fingerprint[:12]}"
     )
+    trainer = Trainer(
+        material, config, backbone, folder, progress, stop, time_limit_s,
+        identity.hashes["training"],
+    )  # fmt: skip
+    # Whatever can be refused has been refused by now, and nothing was written yet.
+    trainer.prepare()
     stop.check()
-    trainer = Trainer(material, config, backbone, folder, progress, stop, time_limit_s)
+    with claimed(folder, identity, restart):
+        return _train_and_judge(trainer, name, identity)
+
+
+def _train_and_judge(trainer: Trainer, name: str, identity: Identity) -> dict[str, Any]:
+    """The content of results.json, written."""
+    material, folder, progress = trainer.material, trainer.folder, trainer.progress
     began_s = time.monotonic()
     trained = trainer.train()
     trained_s = time.monotonic() - began_s
+    if not trained.complete:
+        progress.say(f"training ended by --time-limit-s: {_updates(trained)}")
     scores = Judge(trainer, trained).scores()
     seconds = {"training": trained_s, "all": time.monotonic() - began_s}
-    header = _header(name, material, config, trained, seconds)
+    header = _header(name, material, trainer.config, trained, seconds)
+    header["identity"] = identity.hashes
     content = encode_results(header, scores)
-    # The report first: results.json is what marks a run as done.
+    backbone = trainer.backbone
     facts = {
         "name": name,
         "data": _describe(material),
         "backbone": f"{backbone.name}, {backbone.num_layers} blocks, {backbone.fingerprint}",
         "trained numbers": f"{header['num_trainables']:,}",
-        "updates": ", ".join(f"{phase} {n}" for phase, n in trained.steps.items()),
+        "updates": _updates(trained),
     }
+    # results.json goes first and comes last: it is what marks a run as done.
+    with disk(folder.results):
+        folder.results.unlink(missing_ok=True)
     write_atomic(folder.report, render_markdown(facts, build_tables(scores)).encode())
     write_atomic(folder.results, content)
-    _forget_checkpoint(folder)
     progress.say(f"written to {folder.path}")
     results: dict[str, Any] = json.loads(content)
     return results
+
+
+def _updates(trained: Trained) -> str:
+    """`teacher 300 of 300, student 900 of 900`, and how to go on if that is not all."""
+    text = ", ".join(f"{phase} {n} of {trained.asked[phase]}" for phase, n in trained.steps.items())
+    return text if trained.complete else f"{text} (incomplete: the same command continues)"
 
 
 def _describe(material: Material) -> str:
@@ -122,11 +151,8 @@ def _header(
         },
         "num_trainables": count_trainables(trained),
         "updates": dict(trained.steps),
+        "updates_asked": dict(trained.asked),
+        "complete": trained.complete,
         "seconds": {phase: round(value, 1) for phase, value in seconds.items()},
         "config": to_plain(config),
     }
-
-
-def _forget_checkpoint(folder: RunFolder) -> None:
-    """A finished run needs it no more; the weights stay."""
-    folder.checkpoint.unlink(missing_ok=True)

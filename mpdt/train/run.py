@@ -5,7 +5,7 @@
              -> closed-loop evaluation -> results.json, report.md
 
 The two training phases resume from checkpoints. What follows is a function of the weights and
-is simply done again after a stop.
+is simply done again, after a stop or with other settings of judging.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,9 @@ from mpdt.model.prompts import DecomposedPrompts, TeacherPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.model.weights import WeightsHeader, load_weights, save_weights
 from mpdt.train.config import TrainConfig, to_plain
+from mpdt.train.fit_check import check_fits
 from mpdt.train.folder import RunFolder
+from mpdt.train.identity import JUDGING
 from mpdt.train.material import Ids, Material, return_table
 from mpdt.train.multitask import Prompts, fit, make_optimizer
 from mpdt.train.progress import Progress
@@ -49,6 +52,12 @@ class Trained:
     prompts: DecomposedPrompts
     returns: ReturnTable  # one row per training task
     steps: Mapping[str, int]  # updates done per phase
+    asked: Mapping[str, int]
+
+    @property
+    def complete(self) -> bool:
+        """Whether no time limit cut the training short."""
+        return dict(self.steps) == dict(self.asked)
 
 
 @dataclass
@@ -58,6 +67,7 @@ class Trainer:
     Args:
         time_limit_s: end training after so many seconds of this process and go on with what
             there is; 0 = never. The result then depends on the machine.
+        run_hash: of the training part of the run's identity; binds every file of weights.
     """
 
     material: Material
@@ -67,6 +77,7 @@ class Trainer:
     progress: Progress
     stop: StopRequest
     time_limit_s: float = 0.0
+    run_hash: str = ""
 
     def sampler(self, phase: str, ids: Mapping[int, Ids] | None = None) -> WindowSampler:
         """Windows of the training tasks for one phase."""
@@ -77,77 +88,124 @@ class Trainer:
             s.tasks_per_update, s.order,
         )  # fmt: skip
 
-    def train(self) -> Trained:
-        """Phases A and B, from the checkpoint if there is one.
+    def prepare(self) -> None:
+        """Build all that is trained; writes nothing.
 
-        Raises: Stopped after a signal, with a checkpoint written; TrainingError.
+        Raises: MpdtError for settings that do not fit each other, the data or the backbone.
         """
         config, dataset = self.config, self.material.dataset
+        lengths = [dataset.episodes.length, *(x.length for x in dataset.tta.values())]
+        longest = max(int(length.max(initial=0)) for length in lengths)
+        check_fits(self.backbone, config, max(longest, self.material.horizon))
         stats = dataset.stats["observations"]
-        policy = PromptPolicy(
+        self.policy = PromptPolicy(
             self.backbone, config.inputs, config.head, stats["mean"], stats["std"],
             dataset.action_size, config.seed,
         )  # fmt: skip
-        returns = return_table(self.material, config.inputs.return_to_go, config.target_quantile)
         spread = float(self.backbone.word_embeddings.std())
         shape = (config.prompts, len(self.material.train_rows), self.backbone.width, spread)
-        hashes = {"run": self.folder.identity, "backbone": self.backbone.fingerprint}
-        began_s, steps = time.monotonic(), {"teacher": 0, "student": 0}
-        teacher = None
-        if config.teacher.distillation != "none":
-            prompts = TeacherPrompts(*shape, phase_seed(config.seed, "teacher"))
-            subject = self._subject(policy, prompts)
-            if self.folder.teacher.exists():
-                header, tensors = load_weights(self.folder.teacher, kind="teacher", hashes=hashes)
-                subject.load(tensors)
-                steps["teacher"] = int(str(header.settings["updates"]))
-            else:
-                share = config.teacher.steps / max(1, config.teacher.steps + config.multitask.steps)
-                steps["teacher"] = self._fit(
-                    "teacher", subject, returns, hashes, config.teacher.steps, began_s, share
-                )
-                facts: dict[str, object] = {"updates": steps["teacher"]}
-                header = WeightsHeader(kind="teacher", hashes=hashes, settings=facts)
-                save_weights(self.folder.teacher, subject.tensors(optimizer=False), header)
-            teacher = Teacher(policy, prompts, config.teacher)
-        student = DecomposedPrompts(*shape, phase_seed(config.seed, "student"))
-        subject = self._subject(policy, student)
-        steps["student"] = self._fit(
-            "student", subject, returns, hashes, config.multitask.steps, began_s, 1.0, teacher
+        self.teacher_prompts = TeacherPrompts(*shape, phase_seed(config.seed, "teacher"))
+        self.prompts = DecomposedPrompts(*shape, phase_seed(config.seed, "student"))
+        self.returns = return_table(
+            self.material, config.inputs.return_to_go, config.target_quantile
         )
-        save_weights(
-            self.folder.weights, subject.tensors(optimizer=False),
-            WeightsHeader(kind="mpdt", hashes=hashes | {"data": dataset.content_hash},
-                          settings=to_plain(config)),
-        )  # fmt: skip
-        return Trained(policy, student, returns, steps)
+        taught = config.teacher.distillation != "none"
+        self.asked = {
+            "teacher": config.teacher.steps if taught else 0,
+            "student": config.multitask.steps,
+        }
+        self._hashes = {"run": self.run_hash, "backbone": self.backbone.fingerprint}
 
-    def _subject(self, policy: PromptPolicy, prompts: Prompts) -> Subject:
+    def train(self) -> Trained:
+        """Phases A and B, from whole weights or from the checkpoints if there are any.
+
+        A phase that a time limit cut short goes on where it stopped. A student that learnt
+        from a teacher cut short begins anew, so that an unbroken run would not differ.
+
+        Raises: Stopped after a signal, with a checkpoint written; TrainingError.
+        """
+        folder, began_s = self.folder, time.monotonic()
+        subject = self._subject(self.prompts)
+        header = self._load(folder.weights, "mpdt", subject, self.asked)
+        if header is not None:
+            # Lines of an earlier adaptation go: it is done again.
+            folder.log.cut(int(str(header.settings["metrics_bytes"])))
+            self.progress.say(f"trained already: {folder.weights}")
+            return self._trained(self.asked)
+        steps, teacher = {"teacher": 0, "student": 0}, None
+        if self.config.teacher.distillation != "none":
+            steps["teacher"] = self._train_teacher(began_s)
+            teacher = Teacher(self.policy, self.teacher_prompts, self.config.teacher)
+        steps["student"] = self._fit("student", subject, began_s, 1.0, teacher)
+        self._save(folder.weights, "mpdt", subject, steps)
+        return self._trained(steps)
+
+    def _train_teacher(self, began_s: float) -> int:
+        """Phase A into `self.policy` and `self.teacher_prompts`; the updates done."""
+        subject, asked = self._subject(self.teacher_prompts), self.asked["teacher"]
+        if self._load(self.folder.teacher, "teacher", subject, {"teacher": asked}) is not None:
+            return asked
+        self.folder.checkpoint("student").unlink(missing_ok=True)
+        share = asked / max(1, sum(self.asked.values()))
+        done = self._fit("teacher", subject, began_s, share)
+        self._save(self.folder.teacher, "teacher", subject, {"teacher": done})
+        return done
+
+    def _trained(self, steps: Mapping[str, int]) -> Trained:
+        return Trained(self.policy, self.prompts, self.returns, dict(steps), dict(self.asked))
+
+    def _subject(self, prompts: Prompts) -> Subject:
+        policy = self.policy
         return Subject(policy, prompts, make_optimizer(policy, prompts, self.config.optimiser))
+
+    def _load(
+        self, path: Path, kind: str, subject: Subject, asked: Mapping[str, int]
+    ) -> WeightsHeader | None:
+        """Weights with all the updates `asked`, into `subject`; None if there are none."""
+        if not path.exists():
+            return None
+        header, tensors = load_weights(path, kind=kind, hashes=self._hashes)
+        if header.settings["updates"] != dict(asked):
+            return None
+        subject.load(tensors)
+        return header
+
+    def _save(self, path: Path, kind: str, subject: Subject, updates: dict[str, int]) -> None:
+        """Weights of a phase; its checkpoint goes once there is nothing to continue."""
+        header = WeightsHeader(
+            kind=kind,
+            hashes=self._hashes | {"data": self.material.dataset.content_hash},
+            settings={
+                "updates": updates,
+                "metrics_bytes": self.folder.log.size_bytes,
+                "config": {k: v for k, v in to_plain(self.config).items() if k not in JUDGING},
+            },
+        )
+        save_weights(path, subject.tensors(optimizer=False), header)
+        for phase in updates:
+            if updates[phase] == self.asked[phase]:
+                self.folder.checkpoint(phase).unlink(missing_ok=True)
 
     def _fit(
         self,
         phase: str,
         subject: Subject,
-        returns: ReturnTable,
-        hashes: dict[str, str],
-        num_steps: int,
         began_s: float,
         share: float,
         teacher: Teacher | None = None,
     ) -> int:
-        """One training phase with its log, checkpoints, stop and time limit."""
-        config, log = self.config, self.folder.log
-        checkpoint = Checkpoint(self.folder.checkpoint, hashes, log)
+        """One training phase with its log, checkpoints, stop and share of the time limit."""
+        config, log, num_steps = self.config, self.folder.log, self.asked[phase]
+        checkpoint = Checkpoint(self.folder.checkpoint(phase), self._hashes, log)
         first = checkpoint.resume(phase, subject)
         if first:
             self.progress.say(f"resuming {phase} after {first} of {num_steps} updates")
 
         def on_step(done: int, parts: dict[str, float]) -> bool:
-            late = time.monotonic() - began_s > self.time_limit_s * share
-            late = late and self.time_limit_s > 0
-            if done % config.multitask.log_every == 0 or done == num_steps or late:
-                record: dict[str, Any] = {"phase": phase, "step": done, **parts}
+            late = 0 < self.time_limit_s * share < time.monotonic() - began_s
+            record: dict[str, Any] = {"phase": phase, "step": done, **parts}
+            regular = done % config.multitask.log_every == 0 or done == num_steps
+            if regular:
                 log.append(record | prompt_norms(subject.prompts))
             text = f"action loss {parts['action_loss']:.4f}"
             if "distillation_loss" in parts:
@@ -158,18 +216,19 @@ class Trainer:
             except Stopped:
                 checkpoint.save(phase, done, subject)
                 raise
-            if done % config.multitask.checkpoint_every == 0:
+            if late or done % config.multitask.checkpoint_every == 0:
                 checkpoint.save(phase, done, subject)
+            if late and not regular:
+                # After the checkpoint: whoever continues there forgets the extra line.
+                log.append(record | prompt_norms(subject.prompts))
             return late
 
-        done = fit(
-            subject.policy, subject.prompts, subject.optimizer, self.sampler(phase), returns,
+        return fit(
+            subject.policy, subject.prompts, subject.optimizer, self.sampler(phase), self.returns,
             config.optimiser, first_step=first, num_steps=num_steps, on_step=on_step,
             teacher=teacher, distillation_weight=config.teacher.weight,
             sparse=config.multitask.sparse,
         )  # fmt: skip
-        checkpoint.save(phase, done, subject)
-        return done
 
 
 def prompt_norms(prompts: Prompts) -> dict[str, float]:

@@ -38,6 +38,16 @@ def read_results(folder: Path) -> dict[str, Any]:
     return results
 
 
+def find_results(folder: Path, identity: Mapping[str, str]) -> dict[str, Any] | None:
+    """results.json if it is that of a finished run of this identity; damaged ones do not count."""
+    try:
+        results = read_results(folder)
+    except (MissingFileError, FormatError, OSError):
+        return None
+    same = results.get("identity") == dict(identity) and results.get("complete") is True
+    return results if same else None
+
+
 def scores_in(results: Mapping[str, Any]) -> list[Score]:
     """The scores of results.json; null is nan again."""
     rows = [
@@ -57,6 +67,12 @@ def print_results(results: Mapping[str, Any], as_json: bool) -> None:
         return
     from rich.console import Console
 
+    if results.get("complete") is False:
+        asked = results["updates_asked"]
+        done = ", ".join(
+            f"{phase} {n} of {asked[phase]}" for phase, n in results["updates"].items()
+        )
+        sys.stdout.write(f"incomplete, ended by a time limit after updates: {done}\n")
     console = Console(
         file=sys.stdout, width=None if sys.stdout.isatty() else WIDTH_WITHOUT_TERMINAL
     )

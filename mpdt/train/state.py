@@ -97,7 +97,7 @@ class Subject:
 
 
 class Checkpoint:
-    """The one checkpoint file of a run.
+    """The checkpoint file of one phase.
 
     Args:
         hashes: of settings and data, and of the backbone; a file of others is refused.

@@ -38,6 +38,7 @@ def test_a_run_leaves_its_files(finished):
     }  # fmt: skip
     header, tensors = load_weights(finished / "weights.safetensors", kind="mpdt")
     assert {"run", "backbone", "data"} == set(header.hashes)
+    assert header.settings["updates"] == {"teacher": 20, "student": 20}
     assert tensors["prompts.cross"].shape == (4, 64)
     assert not any("backbone" in name for name in tensors), "trainables only"
 
@@ -136,7 +137,7 @@ def test_without_adaptation_and_teacher(medium_file, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "text"),
     [
-        (["--data", "nowhere.h5"], 2, "hint:  mpdt-data collect nowhere"),
+        (["--data", "nowhere.h5"], 2, "nowhere.h5: no such file"),
         (["--data", "FILE", "--preset", "smoek"], 2, "(did you mean 'smoke'?)"),
         (["--data", "FILE", "--quality", "exprt"], 2, "(did you mean 'expert'?)"),
         (
@@ -148,6 +149,12 @@ def test_without_adaptation_and_teacher(medium_file, tmp_path, capsys):
         (["--data", "FILE", "--name", "../x"], 2, "cannot name a run"),
         (["--data", "FILE", "--adapt.set", "defalt"], 2, "(did you mean 'default'?)"),
         (["--data", "FILE", "--sampler.window", "0"], 2, "sampler.window"),
+        (["--data", "FILE", "--time-limit-s", "-1"], 2, "--time-limit-s"),
+        (["--data", "FILE", *QUICK, "--backbone.depth", "9"], 2, "1 to 2 blocks"),
+        (["--data", "FILE", *QUICK, "--adapt.layers", "5"], 2, "adapt.layers"),
+        (["--data", "FILE", *QUICK, "--evaluation.horizon", "1001"], 2, "inputs.time_table"),
+        (["--data", "FILE", *QUICK, "--inputs.time-table", "8"], 2, "at least 9"),
+        (["--data", "FILE", *QUICK, "--prompts.length", "252"], 2, "at most 256 positions"),
         (["rnu"], 2, "(did you mean 'run'?)"),
     ],
 )
@@ -158,6 +165,7 @@ def test_refusals_are_one_clear_error(tiny_file, tmp_path, capsys, arguments, co
     assert call(*arguments) == code
     error = capsys.readouterr().err
     assert text in error and "Traceback" not in error
+    assert not list(tmp_path.iterdir()), "a refused run leaves nothing behind"
 
 
 def test_settings_lists_every_option_with_its_value(capsys):
@@ -180,10 +188,3 @@ def test_overrides_and_the_share_of_the_teacher():
     assert config.inputs.return_to_go == "family"
     with pytest.raises(UsageError, match="unknown preset"):
         parse_settings(Run(data="x", preset="y"), [])
-
-
-def test_time_limit_ends_training_and_goes_on(tiny_file, tmp_path):
-    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "t", "-q"]
-    assert call(*arguments, "--time-limit-s", "1e-9", "--evaluation.no-constants") == 0
-    results = json.loads((tmp_path / "t/results.json").read_text())
-    assert results["updates"] == {"teacher": 1, "student": 1}

@@ -1,10 +1,10 @@
-"""Identity of a run, presets, and the difference between two configurations."""
+"""Presets, and the difference between two configurations."""
 
 import msgspec
 import pytest
 
 from mpdt.errors import SpecError, UsageError
-from mpdt.train.config import TrainConfig, differences, from_plain, identity, to_plain
+from mpdt.train.config import TrainConfig, differences, from_plain, to_plain
 from mpdt.train.presets import PRESETS, get_preset, paper
 
 
@@ -27,14 +27,6 @@ def test_paper_holds_the_published_numbers():
 def test_unknown_preset_names_the_nearest():
     with pytest.raises(UsageError, match=r"unknown preset 'bass' \(did you mean 'base'\?\)"):
         get_preset("bass")
-
-
-def test_identity_follows_settings_data_and_slice():
-    one = identity(TrainConfig(), "a" * 64, None)
-    assert one == identity(TrainConfig(), "a" * 64, None)
-    assert len({one, identity(TrainConfig(seed=1), "a" * 64, None),
-                identity(TrainConfig(), "b" * 64, None),
-                identity(TrainConfig(), "a" * 64, "few")}) == 4  # fmt: skip
 
 
 def test_differences_by_hand():

@@ -1,0 +1,285 @@
+"""The same folder again: judged anew, continued, refused, or busy; whole runs as typed."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from mpdt.train.cli import main
+from mpdt.train.config import TrainConfig
+from mpdt.train.folder import claimed, locate
+from mpdt.train.identity import identify
+from mpdt.train.material import load_material
+
+QUICK = ["--preset", "smoke", "--threads", "1", "--statistics.batches", "1", "--evaluation.horizon",
+         "3", "--evaluation.no-constants", "--multitask.log-every", "6"]  # fmt: skip
+
+
+def call(*arguments):
+    """Exit code of one call."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(argument) for argument in arguments])
+    return stopped.value.code
+
+
+def results_of(folder):
+    return json.loads((folder / "results.json").read_text())
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture(scope="module")
+def finished(tiny_file, tmp_path_factory):
+    runs = tmp_path_factory.mktemp("runs")
+    assert call("--data", tiny_file, *QUICK, "--runs-dir", runs, "--name", "r", "-q") == 0
+    return runs / "r"
+
+
+@pytest.fixture
+def again(tiny_file, finished, tmp_path):
+    """A copy of the finished run, and the arguments that made it."""
+    shutil.copytree(finished, tmp_path / "r")
+    return tmp_path / "r", ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [["--adapt.steps", "3"], ["--evaluation.episodes", "1"], ["--statistics.axes", "position"]],
+)
+def test_other_judging_takes_the_same_weights(again, finished, capsys, changes):
+    folder, arguments = again
+    before = (folder / "weights.safetensors").stat().st_mtime_ns
+    assert call(*arguments, *changes) == 0
+    error = capsys.readouterr().err
+    assert "trained already" in error and "student" not in error.replace("student 20 of", "")
+    assert (folder / "weights.safetensors").stat().st_mtime_ns == before
+    new, old = results_of(folder), results_of(finished)
+    assert (
+        new["config"] != old["config"] and new["identity"]["judging"] != old["identity"]["judging"]
+    )
+    assert new["identity"]["training"] == old["identity"]["training"]
+    assert (new["updates"], new["complete"]) == (old["updates"], True)
+    part, _, key = changes[0].removeprefix("--").partition(".")
+    stored = json.loads((folder / "config.json").read_text())
+    assert str(stored["judging"][part][key]) == changes[1]
+
+
+def test_judged_anew_is_judged_as_at_first(again, finished, capsys):
+    """There and back: the weights on disk are all that judging depends on."""
+    folder, arguments = again
+    assert call(*arguments, "--adapt.steps", 3, "-q") == 0
+    assert call(*arguments) == 0
+    assert "trained already" in capsys.readouterr().err
+    assert results_of(folder)["scores"] == results_of(finished)["scores"]
+    for name in ("metrics.jsonl", "report.md"):
+        assert (folder / name).read_bytes() == (finished / name).read_bytes(), name
+    assert names_in(folder) == names_in(finished)
+
+
+def test_other_data_judge_anew_or_are_refused(again, finished, monkeypatch, capsys):
+    """The same settings on a file whose presets, then whose statistics differ."""
+    from dataclasses import replace
+
+    from mpdt.train import pipeline
+
+    _, arguments = again
+
+    def load_with(change):
+        def load(*args):
+            material = load_material(*args)
+            return replace(material, dataset=replace(material.dataset, **change(material.dataset)))
+
+        monkeypatch.setattr(pipeline, "load_material", load)
+
+    def other_presets(dataset):
+        x = dataset.tta["default"]
+        return {"tta": {"default": replace(x, preset_return=x.preset_return + 9)}}
+
+    def other_statistics(dataset):
+        fields = dict(dataset.stats)
+        fields["observations"] = {k: v + 1 for k, v in fields["observations"].items()}
+        return {"stats_info": replace(dataset.stats_info, fields=fields)}
+
+    load_with(other_presets)
+    assert call(*arguments) == 0
+    assert "trained already" in capsys.readouterr().err
+    load_with(other_statistics)
+    assert call(*arguments) == 1
+    assert "found data.statistics: " in capsys.readouterr().err
+
+
+def test_a_damaged_table_is_judged_again(again, finished):
+    folder, arguments = again
+    (folder / "results.json").write_text("{half")
+    assert call(*arguments, "-q") == 0
+    assert results_of(folder)["scores"] == results_of(finished)["scores"]
+
+
+def test_a_changed_depth_is_refused_as_another_run(again, capsys):
+    folder, arguments = again
+    before = names_in(folder)
+    assert call(*arguments, "--backbone.depth", 1, "--adapt.steps", 3) == 1
+    error = capsys.readouterr().err
+    assert "found backbone.depth: null -> 1\n" in error and "--name r-2" in error
+    assert names_in(folder) == before
+
+
+def test_restart_trains_anew(again, capsys):
+    folder, arguments = again
+    (folder / "old").mkdir()
+    assert call(*arguments, "--seed", 1, "--restart") == 0
+    assert "trained already" not in capsys.readouterr().err
+    assert results_of(folder)["config"]["seed"] == 1 and not (folder / "old").exists()
+
+
+def test_a_refused_restart_keeps_what_was_there(again):
+    folder, arguments = again
+    before = names_in(folder)
+    assert call(*arguments, "--restart", "--adapt.layers", 9) == 2
+    assert names_in(folder) == before
+
+
+def test_a_time_limit_is_no_end(tiny_file, finished, tmp_path, capsys):
+    """Cut after one update of each phase, then once more, then to the end of an unbroken run."""
+    folder = tmp_path / "r"
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r"]
+    assert call(*arguments, "--time-limit-s", "1e-9") == 0
+    captured = capsys.readouterr()
+    text = "teacher 1 of 20, student 1 of 20"
+    assert f"training ended by --time-limit-s: {text}" in captured.err
+    assert f"incomplete, ended by a time limit after updates: {text}" in captured.out
+    results = results_of(folder)
+    assert results["complete"] is False
+    assert results["updates"] == {"teacher": 1, "student": 1}
+    assert results["updates_asked"] == {"teacher": 20, "student": 20}
+    assert f"- updates: {text} (incomplete" in (folder / "report.md").read_text()
+    assert {"checkpoint-teacher.safetensors", "checkpoint-student.safetensors"} <= {
+        *names_in(folder)
+    }
+    assert call(*arguments, "--time-limit-s", "1e-9") == 0
+    assert results_of(folder)["updates"] == {"teacher": 2, "student": 1}
+    assert call(*arguments) == 0
+    assert "resuming teacher after 2 of 20 updates" in capsys.readouterr().err
+    assert names_in(folder) == names_in(finished), "checkpoints gone"
+    for name in ("metrics.jsonl", "weights.safetensors", "teacher.safetensors", "report.md"):
+        assert (folder / name).read_bytes() == (finished / name).read_bytes(), name
+    whole = results_of(finished)
+    assert {**whole, "seconds": 0} == {**results_of(folder), "seconds": 0}
+    assert whole["complete"] is True
+
+
+def test_a_cut_student_keeps_its_teacher(tiny_file, finished, tmp_path, monkeypatch, capsys):
+    """One second an update, 38 in all: the teacher's half ends behind its update 19, that is
+    with its last one; the student is at update 19 when second 39 comes."""
+    from mpdt.train import run
+
+    folder, seconds = tmp_path / "r", iter(range(100))
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r"]
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
+        assert call(*arguments, "-q", "--evaluation.episodes", 1, "--time-limit-s", 38) == 0
+    assert results_of(folder)["updates"] == {"teacher": 20, "student": 19}
+    assert call(*arguments) == 0
+    assert "resuming student after 19 of 20" in capsys.readouterr().err
+    for name in ("metrics.jsonl", "teacher.safetensors", "weights.safetensors"):
+        assert (folder / name).read_bytes() == (finished / name).read_bytes(), name
+
+
+def test_a_second_process_is_refused_by_name(again, tiny_file, capsys):
+    folder, arguments = again
+    identity = identify(TrainConfig(), load_material(str(tiny_file), "auto"))
+    own = locate(folder.parent, "new")
+    with claimed(own, identity, restart=False):
+        assert call(*arguments[:-1], "new", "--restart") == 4
+        error = capsys.readouterr().err
+        assert f"another mpdt-train is at work in this folder (process {os.getpid()})" in error
+        assert own.config.exists(), "--restart of the refused one removed nothing"
+    assert not own.lock.exists()
+
+
+@pytest.mark.parametrize("place", ["file", "inside", "link"])
+def test_a_folder_that_cannot_be(tiny_file, tmp_path, capsys, place):
+    (tmp_path / "r").write_text("mine") if place == "file" else None
+    (tmp_path / "runs").write_text("mine") if place == "inside" else None
+    (tmp_path / "r").symlink_to(tmp_path / "nowhere" / "x") if place == "link" else None
+    before = names_in(tmp_path)
+    runs = tmp_path / "runs" if place == "inside" else tmp_path
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", runs, "--name", "r"]
+    for extra in ([], ["--restart"]):
+        assert call(*arguments, *extra, "-q") == 1
+        error = capsys.readouterr().err
+        assert error.startswith("error: ") and "Traceback" not in error
+        assert names_in(tmp_path) == before
+
+
+def test_no_permission_is_said_before_the_backbone_is_loaded(
+    tiny_file, tmp_path, capsys, monkeypatch
+):
+    from mpdt.train import folder
+
+    monkeypatch.setattr(folder.os, "access", lambda path, mode: path != tmp_path)
+    assert call("--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r") == 1
+    error = capsys.readouterr().err
+    assert "no permission to write there" in error and "backbone" not in error
+
+
+def test_a_full_disk_leaves_no_folder(tiny_file, tmp_path, monkeypatch, capsys):
+    from mpdt.errors import StorageError
+    from mpdt.train import folder
+
+    def full(path, content):
+        raise StorageError("the disk is full", where=str(path))
+
+    monkeypatch.setattr(folder, "write_atomic", full)
+    assert call("--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r", "-q") == 1
+    assert "the disk is full" in capsys.readouterr().err
+    assert names_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("leftover", ["run.pid", "config.json.tmp"])
+def test_a_kill_in_the_first_moment_does_not_block_the_name(
+    tiny_file, tmp_path, leftover, monkeypatch
+):
+    identity = identify(TrainConfig(), load_material(str(tiny_file), "auto"))
+    own = locate(tmp_path, "r")
+    own.path.mkdir()
+    (own.path / leftover).write_text("1")
+    with claimed(own, identity, restart=False):
+        assert own.config.exists()
+
+
+WAIT = """
+import builtins, sys, time
+real = builtins.__import__
+def slow(name, *rest):
+    if name == "torch" or name.startswith("mpdt.train.pipeline"):
+        print("importing", flush=True)
+        try:
+            time.sleep(60)
+        except BaseException as error:
+            raise ImportError("as libraries do") from error
+    return real(name, *rest)
+builtins.__import__ = slow
+from mpdt.train.cli import main
+main(sys.argv[1:])
+"""
+
+
+def test_ctrl_c_while_libraries_are_imported(tiny_file):
+    process = subprocess.Popen(
+        [sys.executable, "-c", WAIT, "--data", str(tiny_file)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout.readline() == "importing\n"
+    time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 130 and error == "\ninterrupted\n"
