@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -10,6 +12,7 @@ from torch import Tensor
 from mpdt.model.closed_loop import ClosedLoop
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.returns import ReturnTable
+from mpdt.seeding import SeedKey
 
 
 class PromptController:
@@ -35,7 +38,7 @@ class PromptController:
         self._loop: ClosedLoop | None = None
         self._paid: NDArray[np.float32] | None = None
 
-    def begin(self, tasks: NDArray[np.int64]) -> None:
+    def begin(self, tasks: NDArray[np.int64], keys: Sequence[SeedKey]) -> None:
         self._loop = ClosedLoop(
             self._policy, self._prompts, torch.from_numpy(tasks), self._window,
             self._returns, self._low, self._high,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.sim.batch import BatchEnv, make_batch
 from mpdt.errors import TrainingError, UsageError
-from mpdt.seeding import Quality, SeedKey
+from mpdt.seeding import Quality, SeedKey, Stream
 
 if TYPE_CHECKING:
     from mpdt.data.spec.tasks import Family, Task
@@ -57,8 +57,11 @@ Make = Callable[["Family", Sequence["Task"], Mapping[str, float | bool]], BatchE
 class Controller(Protocol):
     """Chooses the actions of B rows at once."""
 
-    def begin(self, tasks: NDArray[np.int64]) -> None:
-        """New episodes: `tasks` (B,) is each row's position in the evaluated task list."""
+    def begin(self, tasks: NDArray[np.int64], keys: Sequence[SeedKey]) -> None:
+        """New episodes: `tasks` (B,) is each row's position in the evaluated task list.
+
+        Whatever is random comes from the rows' `keys`, so that a row is the same in any batch.
+        """
         ...
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -104,11 +107,32 @@ class ConstantController:
     def __init__(self, action: NDArray[np.float32]) -> None:
         self._action, self._rows = action.astype(np.float32), 0
 
-    def begin(self, tasks: NDArray[np.int64]) -> None:
+    def begin(self, tasks: NDArray[np.int64], keys: Sequence[SeedKey]) -> None:
         self._rows = len(tasks)
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         return np.tile(self._action, (self._rows, 1))
+
+    def paid(self, rewards: NDArray[np.float32]) -> None:
+        pass
+
+
+class UniformController:
+    """Uniform actions in [low, high), stream UNIFORM of each row's key, as in the data.
+
+    Drawn step by step: the same numbers as all of an episode at once, at any horizon.
+    """
+
+    def __init__(self, action_size: int, low: float, high: float) -> None:
+        self._size, self._low, self._high = action_size, low, high
+        self._generators: list[np.random.Generator] = []
+
+    def begin(self, tasks: NDArray[np.int64], keys: Sequence[SeedKey]) -> None:
+        self._generators = [key.generator(Stream.UNIFORM) for key in keys]
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        draws = [g.uniform(self._low, self._high, self._size) for g in self._generators]
+        return np.stack(draws).astype(np.float32)
 
     def paid(self, rewards: NDArray[np.float32]) -> None:
         pass
@@ -151,13 +175,15 @@ def evaluate(
             for task, e in chunk
         ]
         at = np.array(chunk).T
-        controller.begin(at[0])
+        controller.begin(at[0], keys)
         observations = env.reset(keys, env.draw_goals(keys))
         alive = np.ones(len(chunk), np.bool_)
         for step in range(horizon):
             shown = observations.astype(np.float32)
             shown[:, list(family.hidden_columns)] = 0
             actions = np.clip(controller.act(shown), env.low, env.high).astype(np.float32)
+            # Rows that have ended are stepped along and do not count, whatever they answer.
+            actions[~alive] = 0
             if not np.isfinite(actions).all():
                 raise TrainingError("the policy's action is not a number", where=family.name,
                                     found=f"step {step}, row {chunk[_first_bad(actions)]}",

@@ -24,7 +24,7 @@ def test_rewards_reach_the_next_step_and_a_new_episode_forgets_them(monkeypatch)
     prompts = torch.ones(2, 3, 4, requires_grad=True)
     acting = PromptController(SimpleNamespace(), prompts, SimpleNamespace(), 20, -2.0, 3.0)
     for _ in range(2):
-        acting.begin(np.array([1, 0]))
+        acting.begin(np.array([1, 0]), [])
         acting.act(np.zeros((2, 5), np.float32))
         acting.paid(np.array([7.0, 8.0], np.float32))
         acting.act(np.zeros((2, 5), np.float32))

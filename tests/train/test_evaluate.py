@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from mpdt.data.sim.batch import StepResult
+from mpdt.data.sim.policies import uniform_actions
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import TrainingError, UsageError
-from mpdt.seeding import Quality
+from mpdt.seeding import Quality, SeedKey
 from mpdt.train.evaluate import (
     ConstantController,
     EvaluationSettings,
     SimulatorCache,
+    UniformController,
     constant_actions,
     evaluate,
 )
@@ -53,8 +55,8 @@ class Watcher(ConstantController):
         super().__init__(np.array([2.0], np.float32))
         self.seen, self.rewards, self.tasks = [], [], []
 
-    def begin(self, tasks):
-        super().begin(tasks)
+    def begin(self, tasks, keys):
+        super().begin(tasks, keys)
         self.tasks.append(tasks.tolist())
 
     def act(self, observations):
@@ -106,6 +108,41 @@ def test_progress_counts_steps():
 def test_a_diverged_policy_is_named():
     with pytest.raises(TrainingError, match="toy: the policy's action is not a number; found step"):
         run(ConstantController(np.array([np.nan], np.float32)))
+
+
+def test_rows_that_have_ended_may_answer_anything():
+    """Task b ends after 2 steps; from then on its rows answer NaN and are shown to no one."""
+
+    class Ends(Watcher):
+        def act(self, observations):
+            actions = super().act(observations)
+            if len(self.seen) > 2:
+                actions[2:] = np.nan
+            return actions
+
+    watcher = Ends()
+    result = run(watcher)
+    assert result.returns.tolist() == [[21.0, 21.0], [18.0, 18.0]]
+    assert watcher.rewards[2] == [7.0, 7.0, 0.0, 0.0]
+
+
+def test_random_actions_are_those_the_data_would_draw():
+    """The slow twin draws an episode at once; another batch or horizon changes no row."""
+    keys = [SeedKey(5, 3, task, Quality.EVALUATION, 0, row) for task in (7, 9) for row in (0, 1)]
+    twin = uniform_actions(keys, 4, 2, -1.0, 1.0).astype(np.float32)
+    acting = UniformController(2, -1.0, 1.0)
+    acting.begin(np.array([0, 0, 1, 1]), keys)
+    nothing = np.zeros((4, 1), np.float32)
+    np.testing.assert_array_equal(np.stack([acting.act(nothing) for _ in range(4)], 1), twin)
+    acting.begin(np.array([1]), keys[2:3])
+    np.testing.assert_array_equal(acting.act(nothing[:1]), twin[2:3, 0])
+
+
+def test_random_rows_do_not_depend_on_the_batch():
+    acting = UniformController(1, -1.0, 1.0)
+    whole, chunked = run(acting), run(acting, max_rows=3)
+    np.testing.assert_array_equal(whole.returns, chunked.returns)
+    assert len(set(whole.returns.ravel())) == 4, "every row draws its own actions"
 
 
 def test_constant_actions_by_hand():
