@@ -9,16 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from mpdt.errors import DataError
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -70,30 +65,3 @@ class ReturnTable:
             self.high.max().repeat(num),
             torch.tensor(list(targets), dtype=torch.float32),
         )
-
-
-def per_task_returns(
-    returns_to_go: Sequence[Array], episode_returns: Sequence[Array] | None = None
-) -> ReturnTable:
-    """Scale, range and target from each task's own training data.
-
-    Args:
-        returns_to_go: one array per task, the values at all steps of its training episodes.
-        episode_returns: one array per task, the values at first steps only.
-    Scale: the largest magnitude seen (1 if all are zero). Target: the best episode; without
-    `episode_returns` the largest value seen, which for negative rewards is that of a last step.
-    """
-    low = torch.tensor([float(np.min(values)) for values in returns_to_go])
-    high = torch.tensor([float(np.max(values)) for values in returns_to_go])
-    best = episode_returns or returns_to_go
-    target = torch.tensor([float(np.max(values)) for values in best])
-    size = torch.maximum(low.abs(), high.abs())
-    return ReturnTable(torch.where(size > 0, size, 1.0), low, high, target)
-
-
-def family_returns(returns_to_go: Sequence[Array], target: float, scale: float) -> ReturnTable:
-    """One published target and scale for all tasks (Xu et al. 2022); ranges stay per task."""
-    own = per_task_returns(returns_to_go)
-    return ReturnTable(
-        torch.full_like(own.scale, scale), own.low, own.high, torch.full_like(own.scale, target)
-    )

@@ -7,6 +7,7 @@ FILE[:slice] --quality-->  episodes of the training tasks (role train or both)
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -124,23 +125,35 @@ def return_table(
     (`task`) or the family's published one. target: the `quantile` of the *episode returns*
     (`task`) or the family's. The largest return-to-go would not do as a target: where rewards
     are negative it is the 0 of an episode's last step, which no first step ever shows.
+    `none`: nothing is shown, so nothing is read; the table only says how many tasks there are.
+    """
+    n = len(material.train_rows)
+    if kind == "none":
+        one, zero = torch.ones(n), torch.zeros(n)
+        return ReturnTable(scale=one, low=zero, high=zero, target=zero)
+    ranges = [_range_and_returns(material, row) for row in material.train_rows]
+    low, high = [low for low, _, _ in ranges], [high for _, high, _ in ranges]
+    size = [max(abs(a), abs(b)) or 1.0 for a, b in zip(low, high, strict=True)]
+    target = [float(np.quantile(returns, quantile)) for _, _, returns in ranges]
+    if kind == "family":
+        size, target = [material.family.return_scale] * n, [material.family.return_target] * n
+    return ReturnTable(*(torch.tensor(x, dtype=torch.float32) for x in (size, low, high, target)))
+
+
+def _range_and_returns(material: Material, row: int) -> tuple[float, float, list[float]]:
+    """Smallest and largest return-to-go of a task's episodes, and the return of each.
+
+    One episode in memory at a time.
     """
     rewards, episodes = material.dataset.steps.rewards, material.dataset.episodes
-    low, high, target = [], [], []
-    for row in material.train_rows:
-        to_go = []
-        for i in material.episode_ids[row]:
-            first = int(episodes.start[i])
-            own = np.asarray(rewards[first : first + int(episodes.length[i])], np.float64)
-            to_go.append(np.cumsum(own[::-1])[::-1])
-        low.append(min(float(values.min()) for values in to_go))
-        high.append(max(float(values.max()) for values in to_go))
-        target.append(float(np.quantile([values[0] for values in to_go], quantile)))
-    size = [max(abs(a), abs(b)) or 1.0 for a, b in zip(low, high, strict=True)]
-    if kind == "family":
-        size = [material.family.return_scale] * len(size)
-        target = [material.family.return_target] * len(target)
-    return ReturnTable(*(torch.tensor(x, dtype=torch.float32) for x in (size, low, high, target)))
+    low, high, returns = math.inf, -math.inf, []
+    for i in material.episode_ids[row]:
+        first = int(episodes.start[i])
+        own = np.asarray(rewards[first : first + int(episodes.length[i])], np.float64)
+        to_go = np.cumsum(own[::-1])
+        low, high = min(low, float(to_go.min())), max(high, float(to_go.max()))
+        returns.append(float(to_go[-1]))
+    return low, high, returns
 
 
 def _qualities(dataset: Dataset, slice_name: str | None, rows: int | Sequence[int]) -> list[str]:

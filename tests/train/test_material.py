@@ -86,3 +86,26 @@ def test_a_negative_family_is_asked_for_what_a_first_step_showed(tiny_file):
     table = return_table(negative, "task", quantile=1.0)
     assert (table.low.item(), table.high.item(), table.target.item()) == (-27.0, -3.0, -18.0)
     assert table.scale.item() == 27.0
+
+
+def test_a_policy_without_return_to_go_reads_no_reward(tiny_file):
+    """The table has a row per task and no attribute of the steps is touched."""
+    material = load_material(str(tiny_file), "expert")
+    blind = SimpleNamespace(train_rows=(0, 1), family=material.family, dataset=SimpleNamespace())
+    table = return_table(blind, "none", quantile=0.5)
+    assert len(table) == 2 and table.pooled([7.0]).target.tolist() == [7.0]
+
+
+def test_the_range_of_returns_is_kept_not_its_values(tiny_file):
+    """Rewards that change sign: 1 and -4 leave returns-to-go -3 and -4; -2 and 5 leave 3 and 5."""
+    material = load_material(str(tiny_file), "expert")
+    toy = SimpleNamespace(
+        dataset=SimpleNamespace(
+            steps=SimpleNamespace(rewards=np.array([9.0, 1.0, -4.0, -2.0, 5.0])),
+            episodes=SimpleNamespace(start=np.array([1, 3]), length=np.array([2, 2])),
+        ),
+        train_rows=(7,), episode_ids={7: np.array([0, 1])}, family=material.family,
+    )  # fmt: skip
+    table = return_table(toy, "task", quantile=0.0)
+    assert (table.low.item(), table.high.item(), table.scale.item()) == (-4.0, 5.0, 5.0)
+    assert table.target.item() == -3.0
