@@ -3,6 +3,9 @@
 training tasks   zero, random, best constant, expert | MPDT with each task's own P*_k
 test tasks       zero, random, best constant, expert | MPDT per adaptation start,
                                                        and P_c o mean P_k without adaptation
+
+All but the expert are run here, on the same seeds. The expert is the stored one: its mean and
+its episodes in the file, where the horizon is the same.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -25,10 +29,23 @@ from mpdt.train.evaluate import (
     Controller,
     Evaluation,
     SimulatorCache,
+    UniformController,
     constant_actions,
     evaluate,
 )
-from mpdt.train.results import Block, Score, normalised, reference_scores, scores_of
+from mpdt.train.results import (
+    CONSTANT,
+    RANDOM,
+    ZERO,
+    Block,
+    Reads,
+    Score,
+    expert_scores,
+    normalised,
+    not_measured,
+    scores_of,
+    with_verdicts,
+)
 from mpdt.train.run import Trained, Trainer, phase_seed
 from mpdt.train.statistics import LayerStatistics, source_statistics
 
@@ -48,18 +65,24 @@ class Judge:
         material, config = self.trainer.material, self.trainer.config
         constant = self._best_constant() if config.evaluation.constants else None
         own = self._controller(self.trained.prompts.task_prompts(), self.trained.returns)
-        scores = self._references("train", material.train_rows, constant)
-        scores += self._score("train", METHOD, material.train_rows, own)
+        references = self._references("train", material.train_rows, constant)
+        scores = references + self._score("train", METHOD, material.train_rows, own)
         if not material.test_rows:
-            return scores
-        scores += self._references("test", material.test_rows, constant)
+            return with_verdicts(scores)
+        if material.test_rows == material.train_rows:
+            # The same episodes: a trivial policy is run on a task once.
+            scores += [msgspec.structs.replace(score, block="test") for score in references]
+        else:
+            scores += self._references("test", material.test_rows, constant)
+        unread: Reads = "nothing"
         for start, prompts, returns in self._adapted():
-            label = f"{METHOD} P_c o mean P_k, not adapted"
+            label, reads = f"{METHOD} P_c o mean P_k, not adapted", unread
             if start != NOT_ADAPTED:
                 label = f"{METHOD} from {start}, adapted"
+                reads = "rewards" if config.adapt.returns == "decrement" else "steps"
             controller = self._controller(prompts, returns)
-            scores += self._score("test", label, material.test_rows, controller)
-        return scores
+            scores += self._score("test", label, material.test_rows, controller, reads)
+        return with_verdicts(scores)
 
     def _adapted(self) -> list[tuple[Start, Tensor, ReturnTable]]:
         """(start, prompts (n, l, s), targets) for every start asked for, then unadapted."""
@@ -101,10 +124,12 @@ class Judge:
     def _statistics(self) -> LayerStatistics:
         settings = self.trainer.config.statistics
         ids = self.trainer.material.random_ids() if settings.source == "random" else None
+        sampler = self.trainer.sampler("statistics", ids)
+        # X is covered evenly; a training sampler may show the beginning of episodes more often.
+        sampler.start_bias = 0
         return source_statistics(
-            self.trained.policy, self.trained.prompts, self.trainer.sampler("statistics", ids),
-            self.trained.returns, settings,
-        )  # fmt: skip
+            self.trained.policy, self.trained.prompts, sampler, self.trained.returns, settings
+        )
 
     def _controller(self, prompts: Tensor, returns: ReturnTable) -> PromptController:
         family = self.trainer.material.family
@@ -131,7 +156,12 @@ class Judge:
             )  # fmt: skip
 
     def _score(
-        self, block: Block, method: str, rows: Sequence[int], controller: Controller
+        self,
+        block: Block,
+        method: str,
+        rows: Sequence[int],
+        controller: Controller,
+        reads: Reads | None = None,
     ) -> list[Score]:
         settings = self.trainer.config.evaluation
         result = self._evaluate(
@@ -139,7 +169,7 @@ class Judge:
         )
         random, expert = self._reference("random", rows), self._reference("expert", rows)
         return scores_of(
-            block, method, result.tasks, result.returns, result.successes, random, expert
+            block, method, result.tasks, result.returns, result.successes, random, expert, reads
         )
 
     def _reference(self, name: str, rows: Sequence[int]) -> NDArray[np.float64]:
@@ -153,19 +183,26 @@ class Judge:
     def _references(
         self, block: Block, rows: Sequence[int], constant: NDArray[np.float32] | None
     ) -> list[Score]:
-        names = [task.name for task in self.trainer.material.tasks(rows)]
-        random, expert = self._reference("random", rows), self._reference("expert", rows)
-        scores = []
-        for label, reference in (("zero action", "zero"), ("random", "random")):
-            means = self._reference(reference, rows)
-            scores += reference_scores(block, label, names, means, random, expert)
-        label = "best constant"
+        material = self.trainer.material
+        family = material.family
+        size, low, high = family.action_size, family.action_low, family.action_high
+        zero = self._score(block, ZERO, rows, ConstantController(np.zeros(size, np.float32)))
+        scores = zero + self._score(block, RANDOM, rows, UniformController(size, low, high))
+        names = [task.name for task in material.tasks(rows)]
         if constant is None:
-            nothing = np.full(len(names), math.nan)
-            scores += reference_scores(block, label, names, nothing, random, expert)
+            scores += not_measured(block, CONSTANT, names)
+        elif not constant.any():
+            scores += [msgspec.structs.replace(score, method=CONSTANT) for score in zero]
         else:
-            scores += self._score(block, label, rows, ConstantController(constant))
-        return scores + reference_scores(block, "expert", names, expert, random, expert)
+            scores += self._score(block, CONSTANT, rows, ConstantController(constant))
+        dataset = material.dataset
+        ids = [dataset.select(task=row, quality="expert") for row in rows]
+        return scores + expert_scores(
+            block, names, self._reference("expert", rows),
+            [dataset.episodes.returns[of_task] for of_task in ids],
+            [dataset.episodes.success[of_task] for of_task in ids] if family.has_success else None,
+            self._reference("random", rows),
+        )  # fmt: skip
 
     def _best_constant(self) -> NDArray[np.float32]:
         """The constant action that does best on the *training* tasks, by normalised return.

@@ -7,7 +7,7 @@ without them a few dozen return points look like learning.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,10 +16,7 @@ from mpdt.train.results import MEAN, Block, Score
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
-TITLES: dict[Block, str] = {
-    "train": "Training tasks (each with its own prompt)",
-    "test": "Test tasks (nothing of their rewards was read)",
-}
+BLOCKS: tuple[tuple[Block, str], ...] = (("train", "training"), ("test", "test"))
 NOT_MEASURED = "not measured"
 
 
@@ -30,15 +27,20 @@ class Table:
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+    """Lines below the table."""
 
 
 def build_tables(scores: Sequence[Score]) -> list[Table]:
     """Per block: tasks x methods, then the mean over tasks. Order of methods: as given."""
     tables = []
-    for block, title in TITLES.items():
+    for block, kind in BLOCKS:
         chosen = [score for score in scores if score.block == block]
         if not chosen:
             continue
+        title = "Training tasks (each with its own prompt)"
+        if block == "test":
+            title = test_title(scores)
         methods = list(dict.fromkeys(score.method for score in chosen))
         tasks = list(dict.fromkeys(score.task for score in chosen))
         at = {(score.task, score.method): score for score in chosen}
@@ -48,12 +50,48 @@ def build_tables(scores: Sequence[Score]) -> list[Table]:
         has_success = any(score.success is not None for score in chosen)
         note = ": return [95 % interval over seeds]" + (" success" if has_success else "")
         note += " (normalised)"
-        tables.append(Table(title + note, ("task", *methods), rows))
+        verdicts = tuple(_verdicts(chosen, methods, kind))
+        tables.append(Table(title + note, ("task", *methods), rows, verdicts))
         means = tuple(_mean_row(method, at.get((MEAN, method)), has_success) for method in methods)
         columns = ["method", "mean return", "95 % interval", "normalised"]
         columns += ["success"] if has_success else []
         tables.append(Table(f"{title}: mean over tasks", tuple(columns), means))
     return tables
+
+
+def test_title(scores: Sequence[Score]) -> str:
+    """What was known of the test tasks, from the tasks and from what adaptation read."""
+    test, train = (
+        {score.task for score in scores if score.block == block} - {MEAN}
+        for block in ("test", "train")
+    )
+    seen = test & train
+    said = "never trained on"
+    if seen:
+        said = f"{len(seen)} of {len(test)} are training tasks as well"
+        said = "the training tasks again, behind other prompts" if seen == test else said
+    reads = {score.reads for score in scores if score.block == "test"}
+    if "rewards" in reads:
+        said += "; adaptation read rewards of their random episodes"
+    elif "steps" in reads:
+        said += "; adaptation read none of their rewards"
+    elif "nothing" in reads:
+        said += "; no adaptation"
+    return f"Test tasks ({said})"
+
+
+def _verdicts(scores: Sequence[Score], methods: Sequence[str], kind: str) -> Iterator[str]:
+    for method in methods:
+        verdicts = [
+            score.beats_trivial
+            for score in scores
+            if score.method == method and score.task != MEAN and score.beats_trivial is not None
+        ]
+        if verdicts:
+            yield (
+                f"{method} beats zero action and random (intervals apart): "
+                f"{sum(verdicts)} of {len(verdicts)} {kind} tasks"
+            )
 
 
 def render_markdown(header: Mapping[str, str], tables: Sequence[Table]) -> str:
@@ -64,6 +102,8 @@ def render_markdown(header: Mapping[str, str], tables: Sequence[Table]) -> str:
         parts += ["", f"## {table.title}", "", _line(table.columns)]
         parts.append(_line(["---"] + ["---:"] * (len(table.columns) - 1)))
         parts += [_line(row) for row in table.rows]
+        for note in table.notes:
+            parts += ["", note]
     parts += ["", "normalised = (return - random) / (expert - random), mean over tasks."]
     return "\n".join(parts) + "\n"
 
@@ -79,6 +119,7 @@ def rich_tables(tables: Sequence[Table]) -> list[RichTable]:
         for i, row in enumerate(table.rows):
             follower = table.rows[i + 1][0] if i + 1 < len(table.rows) else ""
             rich.add_row(*row, end_section=follower == MEAN)
+        rich.caption, rich.caption_justify = "\n".join(table.notes) or None, "left"
         drawn.append(rich)
     return drawn
 

@@ -8,6 +8,7 @@ so it says how far other seeds would move the number, not how far other tasks wo
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,6 +25,10 @@ RESAMPLES = 2000
 Block = Literal["train", "test"]
 MEAN = "mean"
 """Name of the row that averages over the tasks of a block."""
+ZERO, RANDOM, CONSTANT, EXPERT = "zero action", "random", "best constant", "expert"
+TRIVIAL = (ZERO, RANDOM)
+"""Methods that any policy has to beat before it has learnt something."""
+Reads = Literal["nothing", "steps", "rewards"]
 
 
 class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -36,24 +41,29 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Mean return, the task's own unit; nan = not measured."""
     low: float
     high: float
-    """95 % bootstrap interval; nan where only a mean is known (references of the file)."""
+    """95 % bootstrap interval; nan where only a mean is known (an expert that is not stored)."""
     normalised: float
     """(return - random) / (expert - random)."""
     success: float | None = None
     """Share of episodes with a successful step; None where the simulator has none."""
     num_episodes: int = 0
+    beats_trivial: bool | None = None
+    """Its interval lies above those of zero action and random; None = not compared."""
+    reads: Reads | None = None
+    """What adaptation read of this task: nothing, X's steps without rewards, or rewards too."""
 
 
-def bootstrap(values: NDArray[np.float64], seed: int = 0) -> tuple[float, float]:
-    """95 % interval of the mean over tasks of the mean over seeds, for `values` (n, E).
+def bootstrap(values: Sequence[NDArray[np.float64]], seed: int = 0) -> tuple[float, float]:
+    """95 % interval of the mean over tasks of the mean over seeds; one array (E,) per task.
 
     Seeds are resampled inside each task. Source: Efron & Tibshirani 1993, chapter 13
     (percentile interval); too narrow for a handful of seeds, and honest about ties.
     """
     generator = np.random.Generator(np.random.PCG64(seed))
-    n, E = values.shape
-    picks = generator.integers(E, size=(RESAMPLES, n, E))
-    means = values[np.arange(n)[:, None], picks].mean(axis=(1, 2))
+    means = np.zeros(RESAMPLES)
+    for own in values:
+        picks = generator.integers(len(own), size=(RESAMPLES, len(own)))
+        means += own[picks].mean(axis=1) / len(values)
     low, high = np.quantile(means, [0.025, 0.975])
     return float(low), float(high)
 
@@ -71,6 +81,7 @@ def scores_of(
     successes: NDArray[np.bool_] | None,
     random: NDArray[np.float64],
     expert: NDArray[np.float64],
+    reads: Reads | None = None,
 ) -> list[Score]:
     """One score per task and one for their mean.
 
@@ -85,42 +96,80 @@ def scores_of(
         share = None if successes is None else float(successes[i].mean())
         level = normalised(mean, float(random[i]), float(expert[i]))
         scores.append(Score(block=block, task=task, method=method, mean=mean, low=low, high=high,
-                            normalised=level, success=share,
+                            normalised=level, success=share, reads=reads,
                             num_episodes=returns.shape[1]))  # fmt: skip
     low, high = bootstrap(returns)
     levels = [score.normalised for score in scores]
     share = None if successes is None else float(successes.mean())
     mean_score = Score(block=block, task=MEAN, method=method, mean=float(returns.mean()), low=low,
                        high=high, normalised=float(np.mean(levels)), success=share,
-                       num_episodes=returns.size)  # fmt: skip
+                       reads=reads, num_episodes=returns.size)  # fmt: skip
     return [*scores, mean_score]
 
 
-def reference_scores(
+def expert_scores(
     block: Block,
-    method: str,
     tasks: Sequence[str],
     means: NDArray[np.float64],
+    returns: Sequence[NDArray[np.float64]],
+    successes: Sequence[NDArray[np.bool_]] | None,
     random: NDArray[np.float64],
-    expert: NDArray[np.float64],
 ) -> list[Score]:
-    """Rows known only by their mean (n,): the references stored in the data file."""
-    nan = float("nan")
-    levels = [normalised(*map(float, row)) for row in zip(means, random, expert, strict=True)]
-    rows = list(zip(tasks, map(float, means), levels, strict=True))
-    rows.append((MEAN, float(np.mean(means)), float(np.mean(levels))))
+    """The expert of the data: it is not run again, its stored episodes give the interval.
+
+    Args:
+        means: (n,) reference returns of the file; nan = not measured at this horizon.
+        returns, successes: per task, of the expert episodes in the file; may be empty.
+    """
+    known = [np.isfinite(means[i]) and len(returns[i]) > 0 for i in range(len(tasks))]
+    groups = [(task, [i]) for i, task in enumerate(tasks)]
+    scores = []
+    for task, rows in [*groups, (MEAN, list(range(len(tasks))))]:
+        low, high, share = math.nan, math.nan, None
+        if all(known[i] for i in rows):
+            low, high = bootstrap([returns[i] for i in rows])
+            if successes is not None:
+                share = float(np.mean([successes[i].mean() for i in rows]))
+        levels = [normalised(float(means[i]), float(random[i]), float(means[i])) for i in rows]
+        episodes = sum(len(returns[i]) for i in rows if known[i])
+        scores.append(Score(block=block, task=task, method=EXPERT, low=low, high=high,
+                            mean=float(np.mean(means[rows])), normalised=float(np.mean(levels)),
+                            success=share, num_episodes=episodes))  # fmt: skip
+    return scores
+
+
+def not_measured(block: Block, method: str, tasks: Sequence[str]) -> list[Score]:
+    """Rows that say so."""
+    nan = math.nan
     return [
-        Score(
-            block=block,
-            task=task,
-            method=method,
-            mean=mean,
-            low=nan,
-            high=nan,
-            normalised=level,
-        )
-        for task, mean, level in rows
+        Score(block=block, task=task, method=method, mean=nan, low=nan, high=nan, normalised=nan)
+        for task in [*tasks, MEAN]
     ]
+
+
+def with_verdicts(scores: Sequence[Score]) -> list[Score]:
+    """Fills in `beats_trivial` of every method that is no reference.
+
+        zero action [0, 3]   random [-5, 1]      [4, 9] beats them      [2, 9] does not
+
+    Not said where an interval is missing, or of one episode and therefore no interval.
+    """
+    at = {(score.block, score.task, score.method): score for score in scores}
+
+    def verdict(score: Score) -> bool | None:
+        trivial = [at.get((score.block, score.task, method)) for method in TRIVIAL]
+        compared = [each for each in (score, *trivial) if each is not None]
+        if len(compared) <= len(TRIVIAL) or any(
+            each.num_episodes < 2 or not math.isfinite(each.low + each.high) for each in compared
+        ):
+            return None
+        return all(score.low > each.high for each in compared[1:])
+
+    return [
+        score if score.method in (*TRIVIAL, CONSTANT, EXPERT)
+        else msgspec.structs.replace(score, beats_trivial=verdict(score))
+        for score in scores
+    ]  # fmt: skip
 
 
 class MetricsLog:
@@ -175,9 +224,10 @@ def write_atomic(path: Path, content: bytes) -> None:
 
 
 def encode_results(header: Mapping[str, Any], scores: Sequence[Score]) -> bytes:
-    """results.json: nan becomes null, so that any JSON reader takes it."""
+    """results.json: nan becomes null, so that any JSON reader takes it; the unsaid is absent."""
     rows = [
-        {k: None if v != v else v for k, v in msgspec.structs.asdict(score).items()}
+        {k: None if v != v else v for k, v in msgspec.structs.asdict(score).items()
+         if v is not None or k not in ("beats_trivial", "reads")}
         for score in scores
-    ]
+    ]  # fmt: skip
     return (json.dumps({**header, "scores": rows}, indent=1, allow_nan=False) + "\n").encode()

@@ -1,14 +1,18 @@
 """The tables as text."""
 
+import pytest
+
 from mpdt.train.report import NOT_MEASURED, build_tables, render_markdown, rich_tables
 from mpdt.train.results import MEAN, Score
 
 NAN = float("nan")
 
 
-def score(task, method, mean, low=NAN, high=NAN, success=None, normalised=0.5, block="train"):
+def score(
+    task, method, mean, low=NAN, high=NAN, success=None, normalised=0.5, block="train", **more
+):
     return Score(block=block, task=task, method=method, mean=mean, low=low, high=high,
-                 normalised=normalised, success=success)  # fmt: skip
+                 normalised=normalised, success=success, **more)  # fmt: skip
 
 
 SCORES = [
@@ -44,6 +48,42 @@ def test_what_was_not_measured_says_so():
 def test_blocks_stand_apart():
     tables = build_tables([score("a", "x", 1.0), score("b", "x", 2.0, block="test")])
     assert [table.rows[0][0] for table in tables[::2]] == ["a", "b"]
+
+
+def test_verdicts_stand_below_the_table_of_their_block():
+    """2 of 3 training tasks; neither the mean over tasks nor what was not compared counts."""
+    verdicts = [("a", True), ("b", False), ("c", True), (MEAN, True), ("d", None)]
+    tables = build_tables(
+        [score(task, "MPDT", 1.0, beats_trivial=verdict) for task, verdict in verdicts]
+        + [score("a", "random", 0.0), score("x", "MPDT", 1.0, block="test")]
+    )
+    line = "MPDT beats zero action and random (intervals apart): 2 of 3 training tasks"
+    assert [table.notes for table in tables] == [(line,), (), (), ()]
+    text = render_markdown({}, tables)
+    assert f"|\n\n{line}\n\n## " in text
+    assert rich_tables(tables)[0].caption == line
+
+
+@pytest.mark.parametrize(
+    ("test", "reads", "said"),
+    [
+        ("cd", ["nothing", "steps"], "never trained on; adaptation read none of their rewards"),
+        ("ab", ["nothing", "steps"],
+         "the training tasks again, behind other prompts; adaptation read none of their rewards"),
+        ("bcd", ["nothing"], "1 of 3 are training tasks as well; no adaptation"),
+        ("cd", ["rewards", "nothing"],
+         "never trained on; adaptation read rewards of their random episodes"),
+        ("cd", [None], "never trained on"),
+    ],
+)  # fmt: skip
+def test_the_title_says_what_was_known_of_the_test_tasks(test, reads, said):
+    scores = [score(task, "MPDT", 1.0) for task in ("a", "b", MEAN)]
+    scores += [score(task, "random", 1.0, block="test") for task in (*test, MEAN)]
+    for i, read in enumerate(reads):
+        scores += [score(task, f"m{i}", 1.0, block="test", reads=read) for task in (*test, MEAN)]
+    titles = [table.title for table in build_tables(scores)]
+    assert titles[2].startswith(f"Test tasks ({said}): return")
+    assert titles[3] == f"Test tasks ({said}): mean over tasks"
 
 
 def test_markdown_and_terminal_hold_the_same_cells():

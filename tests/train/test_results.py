@@ -7,16 +7,21 @@ import pytest
 
 from mpdt.errors import StorageError
 from mpdt.train.results import (
+    EXPERT,
     MEAN,
+    RANDOM,
+    ZERO,
     MetricsLog,
     Score,
     bootstrap,
     encode_results,
+    expert_scores,
     normalised,
-    reference_scores,
     scores_of,
+    with_verdicts,
     write_atomic,
 )
+from mpdt.train.show import scores_in
 
 
 def test_normalised_by_hand():
@@ -55,14 +60,70 @@ def test_scores_by_hand():
     assert (mean.success, mean.num_episodes) == (0.25, 4)
 
 
-def test_references_have_no_interval_and_a_mean():
-    rows = reference_scores(
-        "test", "zero action", ["a", "b"],
-        np.array([2.0, 4.0]), random=np.array([0.0, 0.0]), expert=np.array([4.0, 4.0]),
+def test_bootstrap_of_tasks_with_other_numbers_of_episodes():
+    """Task a is always 1, task b the mean of two draws from {0, 4}: (1 + 0)/2 to (1 + 4)/2."""
+    assert bootstrap([np.array([1.0]), np.array([0.0, 4.0])]) == (0.5, 2.5)
+
+
+def test_the_expert_by_hand():
+    """Mean as the file says, interval and success from the stored episodes; b has none."""
+    a, b, mean = expert_scores(
+        "test", ["a", "b"], np.array([21.0, 40.0]), [np.array([20.0, 24.0]), np.zeros(0)],
+        [np.array([True, False]), np.zeros(0, bool)], random=np.array([1.0, 40.0]),
     )  # fmt: skip
-    assert [row.mean for row in rows] == [2.0, 4.0, 3.0]
-    assert [row.normalised for row in rows] == [0.5, 1.0, 0.75]
-    assert np.isnan(rows[0].low)
+    assert (a.method, a.mean, a.low, a.high, a.success) == (EXPERT, 21.0, 20.0, 24.0, 0.5)
+    assert (a.normalised, a.num_episodes) == (1.0, 2)
+    assert (b.mean, b.success, b.num_episodes) == (40.0, None, 0)
+    assert np.isnan([b.low, b.high, b.normalised, mean.low, mean.normalised]).all()
+    assert (mean.task, mean.mean, mean.success) == (MEAN, 30.5, None)
+
+
+def test_the_expert_of_all_tasks_by_hand():
+    """Means over tasks: (21 + 5) / 2, (20..24 + 5) / 2, success (1/2 + 1) / 2."""
+    *_, mean = expert_scores(
+        "train", ["a", "b"], np.array([21.0, 5.0]), [np.array([20.0, 24.0]), np.array([5.0])],
+        [np.array([True, False]), np.array([True])], random=np.zeros(2),
+    )  # fmt: skip
+    assert (mean.mean, mean.low, mean.high, mean.success) == (13.0, 12.5, 14.5, 0.75)
+    assert (mean.normalised, mean.num_episodes) == (1.0, 3)
+
+
+def test_the_expert_of_another_horizon_is_not_measured():
+    nan = np.full(1, np.nan)
+    one, mean = expert_scores("train", ["a"], nan, [np.ones(2)], [np.ones(2, bool)], nan)
+    for score in (one, mean):
+        assert np.isnan([score.mean, score.low, score.normalised]).all()
+        assert score.success is None and score.num_episodes == 0
+
+
+def rated(method, low, high, task="a", block="train", episodes=5):
+    return Score(block=block, task=task, method=method, mean=(low + high) / 2, low=low, high=high,
+                 normalised=0.0, num_episodes=episodes)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("low", "verdict"), [(4.0, True), (3.0, False), (2.0, False), (-9.0, False)]
+)
+def test_verdict_by_hand(low, verdict):
+    """Zero action [0, 3], random [-5, 1]: an interval beats them from above 3."""
+    trivial = [rated(ZERO, 0.0, 3.0), rated(RANDOM, -5.0, 1.0)]
+    *_, score = with_verdicts([*trivial, rated("MPDT", low, 9.0)])
+    assert score.beats_trivial is verdict
+    # Either of the two alone is not enough.
+    *_, score = with_verdicts([rated(RANDOM, 0.0, 3.0), rated(ZERO, -5, 1), rated("x", low, 9.0)])
+    assert score.beats_trivial is verdict
+
+
+def test_verdicts_need_all_intervals_of_the_task():
+    trivial = [rated(ZERO, 0.0, 3.0), rated(RANDOM, 0.0, 1.0)]
+    for scores in (
+        [*trivial, rated("MPDT", 5.0, 9.0, task="b")],
+        [*trivial, rated("MPDT", 5.0, 9.0, block="test")],
+        [*trivial, rated("MPDT", 5.0, 9.0, episodes=1)],
+        [trivial[0], rated(RANDOM, np.nan, np.nan), rated("MPDT", 5.0, 9.0)],
+        [*trivial, rated(EXPERT, 5.0, 9.0)],
+    ):
+        assert all(score.beats_trivial is None for score in with_verdicts(scores))
 
 
 def test_metrics_log_forgets_what_came_after_a_checkpoint(tmp_path):
@@ -81,6 +142,15 @@ def test_results_hold_no_nan(tmp_path):
     decoded = json.loads(encode_results({"name": "r"}, [score]))
     assert decoded["name"] == "r"
     assert decoded["scores"][0]["low"] is None and decoded["scores"][0]["mean"] == 1.0
+    assert not {"beats_trivial", "reads"} & set(decoded["scores"][0])
+
+
+def test_results_are_read_back(tmp_path):
+    nan = float("nan")
+    said = Score(block="train", task="a", method="x", mean=1.0, low=0.0, high=2.0, normalised=nan,
+                 beats_trivial=False, reads="steps")  # fmt: skip
+    (score,) = scores_in(json.loads(encode_results({}, [said])))
+    assert (score.beats_trivial, score.reads) == (False, "steps") and np.isnan(score.normalised)
 
 
 def test_atomic_write_replaces_and_cleans_up(tmp_path):
