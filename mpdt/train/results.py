@@ -53,7 +53,9 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """What adaptation read of this task: nothing, X's steps without rewards, or rewards too."""
 
 
-def bootstrap(values: Sequence[NDArray[np.float64]], seed: int = 0) -> tuple[float, float]:
+def bootstrap(
+    values: Sequence[NDArray[np.float64]] | NDArray[np.float64], seed: int = 0
+) -> tuple[float, float]:
     """95 % interval of the mean over tasks of the mean over seeds; one array (E,) per task.
 
     Seeds are resampled inside each task. Source: Efron & Tibshirani 1993, chapter 13
