@@ -88,7 +88,9 @@ def inspect(folder: RunFolder, identity: Identity, restart: bool) -> None:
     """
     path = folder.path
     with disk(path):
-        existing = next(place for place in (path, *path.absolute().parents) if place.exists())
+        existing = next(
+            place for place in (path, *path.absolute().parents) if os.path.lexists(place)
+        )
         if not existing.is_dir():
             raise StorageError("a file is in the way", where=str(existing),
                                expected="a folder", hint=_ELSEWHERE)  # fmt: skip

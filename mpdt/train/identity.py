@@ -56,11 +56,10 @@ def identify(config: TrainConfig, material: Material) -> Identity:
 
 def _trained_on(material: Material) -> dict[str, Any]:
     dataset, stats = material.dataset, material.dataset.stats["observations"]
-    rows = np.array(material.train_rows, np.int64)
     return {
         "content_hash": dataset.content_hash,
         "slice": material.slice,
-        "episodes": _hash_arrays([rows, *(material.episode_ids[row] for row in rows.tolist())]),
+        "episodes": _hash_arrays(material.episode_ids[row] for row in material.train_rows),
         "statistics": _hash_arrays([stats["mean"], stats["std"]]),
     }
 

@@ -7,14 +7,16 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from mpdt.errors import StorageError
 from mpdt.train.cli import main
 from mpdt.train.config import TrainConfig
-from mpdt.train.folder import claimed, locate
-from mpdt.train.identity import identify
+from mpdt.train.folder import claimed, inspect, locate
+from mpdt.train.identity import Identity, identify
 from mpdt.train.material import load_material
 
 QUICK = ["--preset", "smoke", "--threads", "1", "--statistics.batches", "1", "--evaluation.horizon",
@@ -160,6 +162,8 @@ def test_a_time_limit_is_no_end(tiny_file, finished, tmp_path, capsys):
     assert results["complete"] is False
     assert results["updates"] == {"teacher": 1, "student": 1}
     assert results["updates_asked"] == {"teacher": 20, "student": 20}
+    lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    assert [(x["phase"], x["step"]) for x in lines[:2]] == [("teacher", 1), ("student", 1)]
     assert f"- updates: {text} (incomplete" in (folder / "report.md").read_text()
     assert {"checkpoint-teacher.safetensors", "checkpoint-student.safetensors"} <= {
         *names_in(folder)
@@ -216,7 +220,7 @@ def test_a_folder_that_cannot_be(tiny_file, tmp_path, capsys, place):
     for extra in ([], ["--restart"]):
         assert call(*arguments, *extra, "-q") == 1
         error = capsys.readouterr().err
-        assert error.startswith("error: ") and "Traceback" not in error
+        assert error.startswith("error: ") and "a file is in the way" in error
         assert names_in(tmp_path) == before
 
 
@@ -231,8 +235,17 @@ def test_no_permission_is_said_before_the_backbone_is_loaded(
     assert "no permission to write there" in error and "backbone" not in error
 
 
+def test_a_folder_that_cannot_be_read_is_one_clear_error(tmp_path, monkeypatch):
+    def refuse(path):
+        raise PermissionError(13, "Permission denied")
+
+    (tmp_path / "r").mkdir()
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    with pytest.raises(StorageError, match="Permission denied"):
+        inspect(locate(tmp_path, "r"), Identity({}, {}), restart=False)
+
+
 def test_a_full_disk_leaves_no_folder(tiny_file, tmp_path, monkeypatch, capsys):
-    from mpdt.errors import StorageError
     from mpdt.train import folder
 
     def full(path, content):
