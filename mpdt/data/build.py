@@ -9,6 +9,7 @@ spec -> plan -> lock -> missing blocks on workers -> levels -> pack -> parts del
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from mpdt.data.levels import check_levels, measure_levels
 from mpdt.data.pack import pack
 from mpdt.data.parts import PartsFolder, changed_keys
 from mpdt.data.plan import Block, Plan, make_plan
-from mpdt.data.runner import BlockReport, BlockRunner, report_part
+from mpdt.data.runner import BlockReport, BlockRunner, Gap, report_part
 from mpdt.data.sim.engines import default_workers, map_blocks
 from mpdt.data.sim.ladder import load_ladder
 from mpdt.data.spec.entry import DatasetSpec
@@ -47,6 +48,7 @@ class Progress:
     resumed_blocks: int  # done by an earlier run
     resumed_steps: int
     damaged_blocks: int  # parts of an earlier run that are done again
+    outdated_blocks: int  # whole ones, but of other mixing rates or weights; done again too
     last: Block | None  # the block that just finished
 
 
@@ -191,13 +193,14 @@ def _run_missing(
     """Reports of all blocks, and how many of them an earlier run had finished."""
     reports: list[BlockReport] = []
     missing: list[Block] = []
-    damaged = 0
+    gaps: Counter[Gap] = Counter()
     known = BlockRunner(plan, folder)  # its ladder says who should have acted
     for block in plan.blocks:
-        if report := report_part(folder, block, known.actor(block)):
-            reports.append(report)
+        found = report_part(folder, block, known.actor(block))
+        if isinstance(found, BlockReport):
+            reports.append(found)
         else:
-            damaged += folder.part(block).path.exists()
+            gaps[found] += 1
             missing.append(block)
     resumed, resumed_steps = len(reports), sum(report.block.steps for report in reports)
 
@@ -210,7 +213,8 @@ def _run_missing(
                 done_steps=sum(report.block.steps for report in reports),
                 resumed_blocks=resumed,
                 resumed_steps=resumed_steps,
-                damaged_blocks=damaged,
+                damaged_blocks=gaps[Gap.DAMAGED],
+                outdated_blocks=gaps[Gap.OUTDATED],
                 last=last,
             )
         )

@@ -2,7 +2,7 @@
 
     episodes, tta   flat columns as in the file to be, then length, goal, seed_key,
                     progress, policy and digest per episode
-    reference       returns and their digest, no steps: only a mean is ever kept
+    reference       returns, policy and their digest, no steps: only a mean is ever kept
 
 A part is written beside its place, forced to disk and renamed: it is there completely or not
 at all. It is checked whenever it is read; a damaged one counts as missing.
@@ -97,20 +97,21 @@ class Part:
     def save_returns(self, returns: npt.NDArray[np.float64], policy: bytes) -> None:
         """Write the part of a reference block: returns only, bound to the hash of who acted."""
         digest = _returns_digest(self.block, returns, policy)
-        self._save(returns=returns, digest=_bytes_rows([digest]))
+        columns = {"policy": _bytes_rows([policy]), "digest": _bytes_rows([digest])}
+        self._save(returns=returns, **columns)
 
-    def load_returns(self, policy: bytes) -> npt.NDArray[np.float64]:
-        """Read a reference block back, shape (rows,).
+    def load_returns(self) -> tuple[npt.NDArray[np.float64], bytes]:
+        """Read a reference block back: returns (rows,), and the hash of who acted.
 
-        Raises: DataError as `load_episodes`, and if another policy acted.
+        Raises: DataError as `load_episodes`.
         """
-        data = self._load("returns")
-        returns = data["returns"]
+        data = self._load("returns", "policy")
+        returns, policy = data["returns"], data["policy"].tobytes()
         if data["digest"].tobytes() != _returns_digest(self.block, returns, policy):
             raise self._damaged("digest does not match")
         if len(returns) != self.block.rows:
             raise self._damaged(f"{len(returns)} of {self.block.rows} returns")
-        return returns
+        return returns, policy
 
     def _save(self, **arrays: npt.NDArray[Any]) -> None:
         with replacing(self.path) as temporary, disk(self.path), temporary.open("wb") as file:

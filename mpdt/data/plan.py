@@ -15,11 +15,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.spec.entry import DatasetSpec, TtaRule, spec_hash
 from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.seeding import HISTORY_STRIDE, Quality, SeedKey
 
-QUALITIES = ("random", "medium", "expert", "history")
 REFERENCES = {
     "random": Quality.REFERENCE_RANDOM,
     "expert": Quality.REFERENCE_EXPERT,
@@ -117,7 +117,7 @@ def make_plan(spec: DatasetSpec) -> Plan:
     family, tasks = get_family(spec.family), spec.resolve_tasks()
     blocks: list[Block] = []
     for task in tasks:
-        for name in QUALITIES:
+        for name in QUALITY_CODES:
             blocks += _episode_blocks(spec, task, name)
         for name, rule in sorted(spec.tta.items()):
             blocks += _tta_blocks(spec, task, name, rule)

@@ -7,6 +7,7 @@ longer than a short block.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
@@ -104,10 +105,16 @@ class BlockRunner:
         return self._ladder.policy(block.task, block.name, block.number)
 
 
-def report_part(
-    folder: PartsFolder, block: Block, actor: tuple[bytes, float]
-) -> BlockReport | None:
-    """The report of a block that is already done, or None if it has to be done (again).
+class Gap(Enum):
+    """Why a block has to be done."""
+
+    MISSING = "not done yet"
+    DAMAGED = "damaged"
+    OUTDATED = "somebody else acted"
+
+
+def report_part(folder: PartsFolder, block: Block, actor: tuple[bytes, float]) -> BlockReport | Gap:
+    """The report of a block that is already done, or why it has to be done (again).
 
     Reads and checks the whole part: a resumed dataset must not differ from a fresh one. A part
     where somebody else acted than `actor` (policy hash, progress) does not count, so after a
@@ -115,14 +122,15 @@ def report_part(
     """
     part = folder.part(block)
     if not part.path.exists():
-        return None
+        return Gap.MISSING
     try:
         if block.kind == "reference":
-            return BlockReport(block, 0, part.load_returns(actor[0]))
+            returns, policy = part.load_returns()
+            return BlockReport(block, 0, returns) if policy == actor[0] else Gap.OUTDATED
         episodes = part.load_episodes()
     except DataError:
-        return None
+        return Gap.DAMAGED
     if any((episode.policy, episode.progress) != actor for episode in episodes):
-        return None
+        return Gap.OUTDATED
     returns = np.array([episode.episode_return for episode in episodes])
     return BlockReport(block, sum(episode.length for episode in episodes), returns)

@@ -25,6 +25,7 @@ import numpy as np
 
 from mpdt.data import build, pack, runner
 from mpdt.data.episode import PolicyInfo
+from mpdt.data.sim import ladder as sim_ladder
 from mpdt.data.sim.batch import StepResult
 from mpdt.data.sim.policies import UniformPolicy
 from mpdt.data.spec.tasks import Family, Task
@@ -74,7 +75,7 @@ class ConstantPolicy:
     """goal * level in every component."""
 
     def __init__(self, task: Task, rung: int, level: float) -> None:
-        digest = bytes([task.index, rung]) * 16
+        digest = bytes([task.index, rung, round(200 * level), 0]) * 8
         self.info = PolicyInfo(digest, task.index, rung, level, 100 * rung, 0.0, f"fake-{rung}")
         self.level = level
 
@@ -87,6 +88,7 @@ class ConstantPolicy:
 
 class FakeLadder:
     num_rungs = 3
+    notice = ""
 
     def __init__(self, medium: float = 0.5) -> None:
         self.medium = medium
@@ -110,6 +112,7 @@ def install(patch: Any, medium: float = 0.5) -> None:
     patch(runner, "make_batch", FakeBatch)
     patch(runner, "load_ladder", lambda spec: ladder)
     patch(build, "load_ladder", lambda spec: ladder)
+    patch(sim_ladder, "load_ladder", lambda spec: ladder)  # the verbs import it lazily
     if "FAKE_HANG_IN_PACK" in os.environ:
         patch(pack, "compute_stats", lambda dataset: _hang(dataset.path))
 

@@ -17,11 +17,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from mpdt.data import build
+from mpdt.data import build, levels
 from mpdt.data.build import Progress, collect, find_finished
 from mpdt.data.parts import PartsFolder
 from mpdt.data.plan import make_plan
-from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts
+from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.spec.entry import smoke as smoke_of
 from mpdt.data.store.reader import open_dataset, open_tta_rewards
 from mpdt.errors import BusyError, DataError, StorageError, UsageError
@@ -195,6 +195,22 @@ def test_an_interrupted_collection_goes_on(
     assert done.dataset.tta["default"].content_hash == whole.tta["default"].content_hash
 
 
+def test_parts_of_other_rates_are_made_again_and_told_apart(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
+) -> None:
+    """Rung 1 acts in medium and history at another level: its hash or its progress differ."""
+    target = tmp_path / "x.h5"
+    with pytest.raises(KeyboardInterrupt):
+        collect(tiny_spec, target, workers=0, on_progress=interrupt_after(4))
+    names = {path.stem for path in (PartsFolder(target).path / "blocks").iterdir()}
+    assert names == {"forward-random-0", "forward-random-1", "forward-medium-0", "forward-medium-1"}
+    fakes(0.45)
+    seen: list[Progress] = []
+    collect(tiny_spec, target, workers=0, on_progress=seen.append)
+    found = (seen[0].resumed_blocks, seen[0].damaged_blocks, seen[0].outdated_blocks)
+    assert found == (2, 0, 2)
+
+
 def test_parts_of_another_spec_are_refused(
     fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
 ) -> None:
@@ -229,8 +245,28 @@ def test_qualities_out_of_order_write_nothing_and_keep_the_parts(
         collect(tiny_spec, tmp_path / "x.h5", workers=0)
     assert "forward" in str(caught.value) and "backward" in str(caught.value)
     assert caught.value.exit_code == 1
+    assert "behaviour.rungs (now 3;" in caught.value.hint and ".parts" in caught.value.hint
     assert not (tmp_path / "x.h5").exists()
     assert len(list((tmp_path / "x.h5.parts" / "blocks").iterdir())) == 22
+
+
+def test_a_level_within_its_error_is_written_with_a_warning(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(levels, "level_error", lambda *returns: 0.15)
+    fakes(0.9)  # 0.25 outside, less than twice 0.15
+    done = collect(tiny_spec, tmp_path / "x.h5", workers=0)
+    assert done.is_new and len(done.warnings) == 2
+    assert "level 0.8" in done.warnings[0] and "+- 0.150" in done.warnings[0]
+
+
+def test_scripts_are_sent_to_calibrate(tiny_spec: DatasetSpec) -> None:
+    behaviour = Behaviour(script="metaworld")
+    spec = msgspec.structs.replace(tiny_spec, family="ml10", behaviour=behaviour, tasks=("reach",))
+    bad = levels.TaskLevels("reach", 0.0, 10.0, 100.0, 110.0, float("nan"), 0.01)
+    with pytest.raises(DataError, match=r"level 0\.900 \+- 0\.010") as caught:
+        levels.check_levels(make_plan(spec), {"reach": bad}, "x.h5.parts")
+    assert caught.value.hint.startswith("mpdt-data calibrate tiny ")
 
 
 def test_a_smoke_version_only_warns(fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path) -> None:

@@ -41,7 +41,9 @@ def code_of(*words: str) -> int:
         (("collect", "tiny", "-o", "no/x.h5"), 1, "the folder does not exist"),
         (("collect",), 2, "NAME"),
         (("collect", "tiny", "--worker", "1"), 2, "--workers"),
-        (("show", "nope.h5"), 2, "mpdt-data collect nope"),
+        (("show", "nope.h5"), 2, "hint:  mpdt-data list"),
+        (("show", "data/tiny.h5"), 2, "hint:  mpdt-data collect tiny -o data/tiny.h5\n"),
+        (("collect", "tiny", "--spec", "."), 1, "a folder, not a file"),
         (("show", "datasets.yaml"), 1, "not an HDF5 file"),
         (("split", "--quality", "medium"), 2, "no dataset file here"),
         (("split", "--tasks", "forward", "tiny.h5"), 2, "put FILE before --tasks"),
@@ -114,7 +116,31 @@ def test_collect_as_json(fakes: Callable[..., None], workplace: Path, capsys: Ca
     assert found["content_hash"] == open_dataset("tiny.h5").content_hash
 
 
-def test_dry_run_and_plan_write_nothing(workplace: Path, capsys: Capture) -> None:
+def test_plan_refuses_what_collect_refuses(workplace: Path, capsys: Capture) -> None:
+    """Without the fakes: nobody can act by a network `fake`, or by 99 of 20 rungs."""
+    text = (workplace / "datasets.yaml").read_text()
+    many = text.replace("network: fake, rungs: 3", "network: cheetah_dir, rungs: 99")
+    for yaml, what in ((text, "unknown behaviour network 'fake'"), (many, "found 99")):
+        (workplace / "datasets.yaml").write_text(yaml)
+        for words in (("plan", "tiny"), ("collect", "tiny", "--dry-run"), ("collect", "tiny")):
+            assert code_of(*words) == 2
+            captured = capsys.readouterr()
+            assert what in captured.err and captured.out == ""
+
+
+def test_plan_and_collect_tell_whose_rates_they_use(
+    fakes: Callable[..., None], fake_sim: ModuleType, workplace: Path, capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(fake_sim.FakeLadder, "notice", "mixing rates of 2 tasks from ./x.json")
+    for words in (("plan", "tiny"), ("collect", "tiny", "--workers", "0")):
+        assert code_of(*words) == 0
+        assert "mixing rates of 2 tasks from ./x.json\n" in capsys.readouterr().err
+
+
+def test_dry_run_and_plan_write_nothing(
+    fakes: Callable[..., None], workplace: Path, capsys: Capture
+) -> None:
     for words in (("plan", "tiny"), ("collect", "tiny", "--dry-run")):
         assert code_of(*words, "--json", "--workers", "2") == 0
         found = json.loads(capsys.readouterr().out)
@@ -253,18 +279,18 @@ def test_progress_counts_only_what_this_run_did() -> None:
     lines: list[str] = []
     tell = line_writer(lines.append, clock=lambda: now[0])
 
-    def progress(blocks: int, last: bool = True) -> None:
+    def progress(blocks: int, last: bool = True, outdated: int = 0) -> None:
         block = type("B", (), {"label": f"b{blocks}"})() if last else None
-        tell(Progress(10, 1000, blocks, 100 * blocks, 2, 200, 0, block))
+        tell(Progress(10, 1000, blocks, 100 * blocks, 2, 200, 0, outdated, block))
 
-    progress(2, last=False)
+    progress(2, last=False, outdated=3)
     now[0] += 4
     progress(3)  # too early for a line
     now[0] += 6
     progress(4)  # 10 s in: 200 steps of our own, 20 steps/s, 600 left = 30 s
     progress(10)  # the end always has one
     assert lines == [
-        "resuming: 2 of 10 blocks done, 0 damaged",
+        "resuming: 2 of 10 blocks done, 0 damaged, 3 made again: other rates or weights",
         "collect  4/10 blocks  400 steps  20 steps/s  eta 0:00:30  b4",
         "collect  10/10 blocks  1,000 steps  80 steps/s  eta 0:00:00  b10",
     ]

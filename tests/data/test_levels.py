@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
-from mpdt.data.levels import TaskLevels
+from mpdt.data.levels import TaskLevels, level_error
 
 NAN = float("nan")
 
 
-def levels(random: float, medium: float, expert: float) -> TaskLevels:
-    return TaskLevels("t", zero=0.0, random=random, medium=medium, expert=expert, history=NAN)
+def levels(random: float, medium: float, expert: float, error: float = 0.0) -> TaskLevels:
+    return TaskLevels("t", 0.0, random, medium, expert, history=NAN, medium_error=error)
 
 
 def test_level_of_medium() -> None:
@@ -27,8 +28,8 @@ def test_level_of_medium() -> None:
         ((10, 60, 110), ""),
         ((10, 45, 110), ""),  # level 0.35, the edge
         ((10, 75, 110), ""),  # level 0.65, the edge
-        ((10, 44, 110), "level 0.34"),
-        ((10, 76, 110), "level 0.66"),
+        ((10, 44, 110), "level 0.340 +- 0.000"),
+        ((10, 76, 110), "level 0.660 +- 0.000"),
         ((10, 120, 110), "not between random 10.0 and expert 110.0"),
         ((10, 5, 110), "not between"),
         ((10, 10, 110), "not between"),
@@ -40,3 +41,49 @@ def test_level_of_medium() -> None:
 def test_faults(returns: tuple[float, float, float], text: str) -> None:
     found = levels(*returns).faults()
     assert (text in found[0] and found[0].startswith("t: ")) if text else found == []
+
+
+@pytest.mark.parametrize(
+    ("medium", "error", "is_fault", "is_doubt"),
+    [
+        (44, 0.004, True, False),  # level 0.34: 0.01 outside is more than twice 0.004
+        (44, 0.006, False, True),
+        (76, 0.004, True, False),
+        (76, 0.006, False, True),
+        (44, math.inf, False, True),  # one episode of a quality tells nothing
+        (60, math.inf, False, False),
+        (5, math.inf, True, False),  # the order is a matter of the data as they are
+    ],
+)
+def test_a_level_counts_as_far_as_it_is_known(
+    medium: float, error: float, is_fault: bool, is_doubt: bool
+) -> None:
+    found = levels(10, medium, 110, error)
+    assert (bool(found.faults()), bool(found.doubts())) == (is_fault, is_doubt)
+    for line in found.doubts():
+        assert line.startswith(f"t: medium {medium:.1f} has level {found.medium_level:.3f} +- ")
+        assert f"{error:.3f}" in line and "within 2 standard errors" in line
+
+
+def test_error_of_a_level_by_hand() -> None:
+    """random 0 +- 2, medium 25 +- 3, expert 100 +- 4 (errors of the mean): level 0.25.
+
+    0.01 * sqrt(3^2 + (0.75 * 2)^2 + (0.25 * 4)^2) = 0.01 * sqrt(12.25) = 0.035
+    """
+
+    def two(mean: float, error: float) -> np.ndarray:
+        return np.array([mean - error, mean + error])  # std(ddof=1) / sqrt(2) = error
+
+    random, medium, expert = two(0, 2), two(25, 3), two(100, 4)
+    assert level_error(random, medium, expert) == pytest.approx(0.035)
+    assert level_error(random, medium, expert[:1]) == math.inf
+    assert level_error(random, np.array([]), expert) == math.inf
+
+
+def test_error_of_a_level_is_that_of_many_draws() -> None:
+    """The slow twin: the spread of the level over repeated data sets."""
+    rng = np.random.default_rng(0)
+    sets = [[rng.normal(mean, 20.0, 50) for mean in (10.0, 40.0, 110.0)] for _ in range(2000)]
+    seen = [levels(*(float(returns.mean()) for returns in one)).medium_level for one in sets]
+    told = np.mean([level_error(*one) for one in sets])
+    assert told == pytest.approx(np.std(seen), rel=0.06)

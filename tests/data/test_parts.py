@@ -16,7 +16,7 @@ from mpdt.data.episode import Episode
 from mpdt.data.part import Part
 from mpdt.data.parts import PartsFolder, changed_keys
 from mpdt.data.plan import Block
-from mpdt.data.runner import report_part
+from mpdt.data.runner import BlockReport, Gap, report_part
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import BusyError, DataError, StorageError
 from mpdt.seeding import Quality
@@ -69,7 +69,7 @@ def test_episodes_come_back_as_they_were(folder: PartsFolder, successes: bool) -
     loaded = folder.part(BLOCK).load_episodes()
     assert all(same(a, b) for a, b in zip(episodes, loaded, strict=True))
     report = report_part(folder, BLOCK, ACTOR)
-    assert report is not None
+    assert isinstance(report, BlockReport)
     assert report.steps == 5
     assert report.returns.tolist() == [6.0, 3.0]  # 1 + 2 + 3 and 1 + 2
     assert list((folder.path / "blocks").iterdir()) == [folder.part(BLOCK).path]
@@ -77,9 +77,10 @@ def test_episodes_come_back_as_they_were(folder: PartsFolder, successes: bool) -
 
 def test_returns_come_back_as_they_were(folder: PartsFolder) -> None:
     folder.part(REFERENCE).save_returns(np.array([0.1, -2.0]), ACTOR[0])
-    assert folder.part(REFERENCE).load_returns(ACTOR[0]).tolist() == [0.1, -2.0]
+    returns, policy = folder.part(REFERENCE).load_returns()
+    assert (returns.tolist(), policy) == ([0.1, -2.0], ACTOR[0])
     report = report_part(folder, REFERENCE, ACTOR)
-    assert report is not None and report.returns.tolist() == [0.1, -2.0]
+    assert isinstance(report, BlockReport) and report.returns.tolist() == [0.1, -2.0]
 
 
 def _flip_stored_byte(path: Path) -> None:
@@ -118,11 +119,22 @@ def _drop_column(path: Path) -> None:
 def test_a_damaged_part_counts_as_missing(folder: PartsFolder, damage: Any) -> None:
     part = folder.part(BLOCK)
     part.save_episodes([make_episode(0, 3), make_episode(1, 2)])
-    assert report_part(folder, BLOCK, ACTOR) is not None
+    assert isinstance(report_part(folder, BLOCK, ACTOR), BlockReport)
     damage(part.path)
-    assert report_part(folder, BLOCK, ACTOR) is None
+    assert report_part(folder, BLOCK, ACTOR) is Gap.DAMAGED
     with pytest.raises(DataError, match=r"backward-expert-4\.npz"):
         part.load_episodes()
+
+
+def test_returns_of_another_policy_under_this_hash_are_damaged(folder: PartsFolder) -> None:
+    part = folder.part(REFERENCE)
+    part.save_returns(np.array([1.0, 2.0]), bytes(32))
+    with np.load(part.path) as archive:
+        arrays = {name: archive[name].copy() for name in archive.files}
+    arrays["policy"][:] = 7
+    with part.path.open("wb") as file:
+        np.savez(file, **arrays)
+    assert report_part(folder, REFERENCE, ACTOR) is Gap.DAMAGED
 
 
 def test_damaged_returns_count_as_missing(folder: PartsFolder) -> None:
@@ -133,27 +145,27 @@ def test_damaged_returns_count_as_missing(folder: PartsFolder) -> None:
     arrays["returns"][1] = 3.0
     with part.path.open("wb") as file:
         np.savez(file, **arrays)
-    assert report_part(folder, REFERENCE, ACTOR) is None
+    assert report_part(folder, REFERENCE, ACTOR) is Gap.DAMAGED
 
 
-def test_a_part_of_another_policy_counts_as_missing(folder: PartsFolder) -> None:
+def test_a_part_of_another_policy_is_outdated(folder: PartsFolder) -> None:
     """After a new calibration: other weights or rate (hash), or the same at another level."""
     folder.part(BLOCK).save_episodes([make_episode(0, 3), make_episode(1, 2)])
     folder.part(REFERENCE).save_returns(np.array([1.0, 2.0]), ACTOR[0])
     for block in (BLOCK, REFERENCE):
-        assert report_part(folder, block, ACTOR) is not None
-        assert report_part(folder, block, (bytes(32), ACTOR[1])) is None
-    assert report_part(folder, BLOCK, (ACTOR[0], ACTOR[1] / 2)) is None
+        assert isinstance(report_part(folder, block, ACTOR), BlockReport)
+        assert report_part(folder, block, (bytes(32), ACTOR[1])) is Gap.OUTDATED
+    assert report_part(folder, BLOCK, (ACTOR[0], ACTOR[1] / 2)) is Gap.OUTDATED
 
 
 def test_a_part_under_another_blocks_name_counts_as_missing(folder: PartsFolder) -> None:
     folder.part(BLOCK).save_episodes([make_episode(0, 3), make_episode(1, 2)])
     other = Block("episodes", "expert", TASK, Quality.EXPERT, 5, 2, 3)
     folder.part(BLOCK).path.rename(folder.part(other).path)
-    assert report_part(folder, other, ACTOR) is None
+    assert report_part(folder, other, ACTOR) is Gap.DAMAGED
     longer = Block("episodes", "expert", TASK, Quality.EXPERT, 4, 3, 3)
     folder.part(other).path.rename(folder.part(longer).path)
-    assert report_part(folder, longer, ACTOR) is None
+    assert report_part(folder, longer, ACTOR) is Gap.DAMAGED
 
 
 def test_a_full_disk_leaves_no_half_part(
@@ -233,7 +245,7 @@ def test_parts_without_a_readable_plan_are_dropped(folder: PartsFolder) -> None:
     folder.part(BLOCK).save_episodes([make_episode(0, 3), make_episode(1, 2)])
     (folder.path / "plan.json").write_text("{half")
     folder.agree({"spec": {}})
-    assert report_part(folder, BLOCK, ACTOR) is None
+    assert report_part(folder, BLOCK, ACTOR) is Gap.MISSING
 
 
 def test_changed_keys_by_hand() -> None:

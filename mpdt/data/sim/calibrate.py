@@ -26,9 +26,10 @@ import numpy as np
 
 from mpdt.data.sim.batch import BatchEnv, FloatArray, make_batch
 from mpdt.data.sim.calibration import (
-    LOCAL_FILE,
     Calibration,
     Measurement,
+    check_target,
+    local_path,
     save_calibrations,
 )
 from mpdt.data.sim.collect import run_block
@@ -259,11 +260,12 @@ def calibrate(
     """Calibrate every task of a Meta-World spec at its horizon; about a minute per task.
 
     Args:
-        target: file to add to; default LOCAL_FILE in the working folder, where the ladder
-            looks for what is not shipped.
+        target: file to add to; default LOCAL_FILE in the working folder, which the ladder
+            prefers to what is shipped.
         on_progress: called with each result; each is on disk before the next one starts.
 
-    Raises: SpecError for a spec whose behaviour is not the script.
+    Raises: SpecError for a spec whose behaviour is not the script; StorageError, and DataError
+        for a target that is no calibration file, both before anything is measured.
     """
     if spec.behaviour.script != "metaworld":
         raise SpecError(
@@ -271,7 +273,8 @@ def calibrate(
             where=f"{spec.name}.behaviour",
             hint=f"mpdt-data pretrain {spec.name}",
         )
-    target = target or Path(LOCAL_FILE)
+    target = target or local_path()
+    check_target(target)
     for task in spec.resolve_tasks():
         result = calibrate_task(task.name, spec.horizon, seed=seed, coarse=coarse, careful=careful)
         save_calibrations(target, [result], RULE)

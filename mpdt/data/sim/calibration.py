@@ -1,11 +1,13 @@
 """Calibration: the mixing rate of `medium` per Meta-World task, as data with its evidence.
 
-Shipped in `weights/metaworld.json`, one line per (task, horizon). `calibrate.py` measures.
+Shipped in `weights/metaworld.json`, one line per (task, horizon). `calibrate.py` measures, into
+LOCAL_FILE of the working folder; a rate that is there wins over the shipped one.
 """
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -13,11 +15,15 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from mpdt.data.replacement import check_replaceable, disk, replacing
 from mpdt.data.spec.entry import canonical_json
-from mpdt.errors import DataError, MissingFileError
+from mpdt.errors import DataError, StorageError
 
 FORMAT = "mpdt-calibration/1"
 LOCAL_FILE = "metaworld.calibration.json"
+
+Place = tuple[str, int]
+"""What a calibration is for: task name and horizon."""
 
 
 class Measurement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -69,32 +75,53 @@ class _Book(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     entries: tuple[Calibration, ...]
 
 
-def load_calibrations(folder: Path | None = None) -> dict[tuple[str, int], Calibration]:
-    """Calibrations by (task, horizon): the shipped ones, then those of `folder`/LOCAL_FILE.
+def load_calibrations(folder: Path | None = None) -> dict[Place, Calibration]:
+    """Calibrations by (task, horizon): those of `folder`/LOCAL_FILE, then the shipped ones.
 
-    A shipped one always wins, so no file lying about can change a published dataset.
+    A local one wins, so that a user can repair a rate; `Ladder.notice` tells of it, and the
+    hash of the policy that acted is part of every episode's digest.
 
-    Raises: DataError for a file that is not a calibration.
+    Raises: DataError for a file that is not a calibration; StorageError.
     """
-    shipped = Path(str(resources.files("mpdt.data.weights"))) / "metaworld.json"
-    found: dict[tuple[str, int], Calibration] = {}
-    for path in (shipped, (folder or Path()) / LOCAL_FILE):
-        if path.is_file():
-            for entry in _read(path):
-                found.setdefault((entry.task, entry.horizon), entry)
-    return found
+    return _read(Path(str(resources.files("mpdt.data.weights"))) / "metaworld.json") | load_local(
+        folder
+    )
 
 
-def _read(path: Path) -> tuple[Calibration, ...]:
+def load_local(folder: Path | None = None) -> dict[Place, Calibration]:
+    """The calibrations of `folder`/LOCAL_FILE alone. Raises: as `load_calibrations`."""
+    path = local_path(folder)
+    return _read(path) if os.path.lexists(path) else {}
+
+
+def local_path(folder: Path | None = None) -> Path:
+    """Where a calibration is written, and looked for, in `folder` (default: here)."""
+    return (folder or Path()) / LOCAL_FILE
+
+
+def _read(path: Path) -> dict[Place, Calibration]:
     try:
         book = msgspec.json.decode(path.read_bytes(), type=_Book)
+    except OSError as error:
+        raise StorageError("cannot be read", where=str(path), found=str(error)) from error
     except msgspec.DecodeError as error:
-        raise DataError("not a calibration file", where=str(path), found=str(error)) from error
+        raise DataError("not a calibration file", where=str(path), found=str(error),
+                        hint="delete it, or choose another file with -o") from error  # fmt: skip
     if book.format != FORMAT:
         raise DataError(
             "another calibration format", where=str(path), expected=FORMAT, found=book.format
         )
-    return book.entries
+    return {(entry.task, entry.horizon): entry for entry in book.entries}
+
+
+def check_target(path: Path) -> None:
+    """Whether `save_calibrations` could add to `path` now: asked before hours of measuring.
+
+    Raises: as `save_calibrations`.
+    """
+    check_replaceable(path)
+    if path.exists():
+        _read(path)
 
 
 def save_calibrations(path: Path, entries: Sequence[Calibration], rule: str) -> None:
@@ -102,12 +129,12 @@ def save_calibrations(path: Path, entries: Sequence[Calibration], rule: str) -> 
 
     An entry for the same task and horizon is replaced. `rule` tells readers how the rates
     were found. Atomic.
+
+    Raises: DataError if something else is in `path`; StorageError where the disk refuses.
     """
-    if not path.parent.is_dir():
-        raise MissingFileError("no such folder", where=str(path.parent))
-    merged = {(e.task, e.horizon): e for e in (*(_read(path) if path.is_file() else ()), *entries)}
+    merged = _read(path) if path.exists() else {}
+    merged |= {(entry.task, entry.horizon): entry for entry in entries}
     lines = ",\n".join(canonical_json(merged[key]).decode() for key in sorted(merged))
     head = f'{{"format":{json.dumps(FORMAT)},\n"rule":{json.dumps(rule)},\n"entries":[\n'
-    partial = path.with_name(path.name + ".tmp")
-    partial.write_text(f"{head}{lines}\n]}}\n")
-    partial.replace(path)
+    with replacing(path) as temporary, disk(path):
+        temporary.write_text(f"{head}{lines}\n]}}\n")

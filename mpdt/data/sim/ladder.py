@@ -17,15 +17,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-from mpdt.data.episode import PolicyInfo
-from mpdt.data.sim.calibration import Calibration, load_calibrations
+from mpdt.data.episode import QUALITY_CODES, PolicyInfo
+from mpdt.data.sim.calibration import (
+    Calibration,
+    load_calibrations,
+    load_local,
+    local_path,
+)
 from mpdt.data.sim.policies import Policy, ScriptedPolicy, UniformPolicy
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Task, get_family
 from mpdt.errors import SpecError, unknown_name
 from mpdt.seeding import HISTORY_STRIDE
-
-QUALITIES = ("random", "medium", "expert", "history")
 
 
 class Ladder(Protocol):
@@ -33,6 +36,11 @@ class Ladder(Protocol):
 
     @property
     def num_rungs(self) -> int: ...
+
+    @property
+    def notice(self) -> str:
+        """What a user should know about where these policies come from, or nothing."""
+        ...
 
     def policy(self, task: Task, quality: str, block: int) -> tuple[Policy, float]:
         """Who acts in a block, and its progress in [0, 1].
@@ -47,7 +55,7 @@ class Ladder(Protocol):
 
 
 def load_ladder(spec: DatasetSpec, folder: Path | None = None) -> Ladder:
-    """The ladder `spec.behaviour` names; `folder` (default: here) may hold calibrations.
+    """The ladder `spec.behaviour` names; calibrations in `folder` (default: here) win.
 
     Raises: SpecError if the behaviour does not fit the family or has not been calibrated.
     """
@@ -78,11 +86,21 @@ class ScriptLadder:
                 found=f"{spec.behaviour.script} in {spec.family}",
             )
         self._spec = spec
-        self._calibrations = load_calibrations(folder)
+        self._calibrations, self._local = load_calibrations(folder), load_local(folder)
+        self._local_path = local_path(folder)
         self.num_rungs = spec.behaviour.rungs
         if spec.episodes.medium:
             for task in spec.resolve_tasks():
                 self._calibration(task)
+
+    @property
+    def notice(self) -> str:
+        """How many tasks take the rate of `medium` from the working folder."""
+        tasks = self._spec.resolve_tasks() if self._spec.episodes.medium else ()
+        count = sum((task.name, self._spec.horizon) in self._local for task in tasks)
+        place = f"./{self._local_path}" if not self._local_path.is_absolute() else self._local_path
+        plural = "s" if count != 1 else ""
+        return f"mixing rates of {count} task{plural} from {place}" if count else ""
 
     def policy(self, task: Task, quality: str, block: int) -> tuple[Policy, float]:
         """Who acts in a block of `task`, and its progress; see Ladder."""
@@ -99,7 +117,7 @@ class ScriptLadder:
             rung = block // HISTORY_STRIDE
             assert 0 <= rung <= last, "the block number of history holds the rung"
             return self._rung(task, rung), rung / last
-        raise unknown_name("quality", quality, QUALITIES)
+        raise unknown_name("quality", quality, QUALITY_CODES)
 
     def policies(self, tasks: Sequence[Task]) -> list[PolicyInfo]:
         """Rows of /policies: only those the spec's episodes and references can meet."""

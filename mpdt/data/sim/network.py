@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from mpdt.data.episode import PolicyInfo
+from mpdt.data.episode import QUALITY_CODES, PolicyInfo
 from mpdt.data.sim.policies import Policy, UniformPolicy
 from mpdt.data.sim.robots import network_inputs
 from mpdt.data.spec.entry import DatasetSpec
@@ -125,6 +125,7 @@ class NetworkLadder:
         rungs = load_rungs(arrays)
         self._weights = [rungs[place] for place in self._places]
         self._noise = spec.behaviour.noise
+        self.notice = ""  # only shipped networks act
 
     @property
     def num_rungs(self) -> int:
@@ -144,7 +145,7 @@ class NetworkLadder:
         elif quality == "history":
             rung = block // HISTORY_STRIDE
         else:
-            raise unknown_name("quality", quality, ["random", "medium", "expert", "history"])
+            raise unknown_name("quality", quality, QUALITY_CODES)
         return self._rung(task, rung), rung / (self.num_rungs - 1)
 
     def policies(self, tasks: Sequence[Task]) -> list[PolicyInfo]:

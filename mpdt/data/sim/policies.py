@@ -11,7 +11,6 @@ caller clips and casts to float32; see collect.py. Networks are in network.py.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from importlib import metadata
 from typing import Any, Protocol
@@ -21,6 +20,7 @@ import numpy.typing as npt
 
 from mpdt.data.episode import PolicyInfo
 from mpdt.data.sim.metaworld import ACTION_SIZE, quiet, scripted_policy
+from mpdt.data.spec.entry import canonical_json
 from mpdt.errors import UsageError
 from mpdt.seeding import SeedKey, Stream
 
@@ -44,10 +44,7 @@ class Policy(Protocol):
 
 def definition_hash(definition: dict[str, object]) -> bytes:
     """SHA-256 (32 bytes) of the canonical JSON that defines a policy without weights."""
-    text = json.dumps(
-        definition, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
-    )
-    return hashlib.sha256(text.encode()).digest()
+    return hashlib.sha256(canonical_json(definition)).digest()
 
 
 def uniform_actions(

@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
+from mpdt.data.replacement import check_replaceable, disk, replacing
 from mpdt.data.sim.rungs import describe_rungs
 from mpdt.data.spec.tasks import Family, get_family
 from mpdt.errors import SimulatorError, UsageError, unknown_name
@@ -80,7 +81,8 @@ def pretrain(
         on_progress: called with one line per update.
 
     Returns the path of the weights. Raises UsageError for a family without a network,
-    SimulatorError if the `behaviour` extra is not installed.
+    SimulatorError if the `behaviour` extra is not installed, StorageError if the folder cannot
+    be made or written to.
     """
     if name not in SETTINGS:
         raise unknown_name("behaviour network", name, SETTINGS)
@@ -95,10 +97,14 @@ def pretrain(
     family = get_family(name)
     folder = (output or Path.cwd()).resolve()
     work = folder / f"{name}.pretrain"
-    if not resume and work.is_dir():
-        for path in work.iterdir():
-            path.unlink()
-    work.mkdir(parents=True, exist_ok=True)
+    target, record_path = folder / f"{name}.safetensors", folder / f"{name}.json"
+    with disk(work):
+        if not resume and work.is_dir():
+            for path in work.iterdir():
+                path.unlink()
+        work.mkdir(parents=True, exist_ok=True)
+    for path in (target, record_path, work / "checkpoint.zip"):
+        check_replaceable(path)
     started = time.monotonic()
     say = on_progress or (lambda line: None)
     curve = _train(family, settings, total, seed, work, say)
@@ -128,18 +134,18 @@ def pretrain(
         **ladder,
         "curve": curve,
     }
-    target = folder / f"{name}.safetensors"
     rungs = [load_file(work / f"{rung['train_step']:012d}.safetensors") for rung in ladder["rungs"]]
-    save_file(
-        {
-            f"rung-{i:02d}/{key}": value
-            for i, rung in enumerate(rungs)
-            for key, value in rung.items()
-        },
-        target,
-    )
-    (folder / f"{name}.json").write_text(json.dumps(record, indent=1, sort_keys=True) + "\n")
+    arrays = {
+        f"rung-{i:02d}/{key}": value for i, rung in enumerate(rungs) for key, value in rung.items()
+    }
+    _write(target, save(arrays))
+    _write(record_path, (json.dumps(record, indent=1, sort_keys=True) + "\n").encode())
     return target
+
+
+def _write(path: Path, content: bytes) -> None:
+    with replacing(path) as temporary, disk(path):
+        temporary.write_bytes(content)
 
 
 def _train(
@@ -165,6 +171,7 @@ def _train(
     torch.set_num_threads(1)  # small matrix products collapse on more, most of all when busy
     every = max(1, total // settings.snapshots)
     curve_path = work / "curve.json"
+    checkpoint, normalizer = work / "checkpoint.zip", work / "normalize.pkl"
 
     class Snapshots(BaseCallback):  # type: ignore[misc]  # untyped base
         def __init__(self, curve: list[dict[str, float]]) -> None:
@@ -183,23 +190,24 @@ def _train(
                 self.snapshot(step, mean)
 
         def snapshot(self, step: int, mean: float) -> None:
-            save_file(_export(self.model), work / f"{step:012d}.safetensors")
+            _write(work / f"{step:012d}.safetensors", save(_export(self.model)))
             self.curve.append({"step": step, "mean_return": round(mean, 2)})
-            curve_path.write_text(json.dumps(self.curve).replace("NaN", "null"))
-            self.model.save(work / "checkpoint.zip")
-            self.model.get_env().save(str(work / "normalize.pkl"))
+            _write(curve_path, json.dumps(self.curve).replace("NaN", "null").encode())
+            with replacing(checkpoint) as temporary, disk(checkpoint):
+                self.model.save(temporary)
+            with replacing(normalizer) as temporary, disk(normalizer):
+                self.model.get_env().save(str(temporary))
             self.next_snapshot = step + every
 
         def _on_step(self) -> bool:
             return True
 
-    checkpoint = work / "checkpoint.zip"
     curve: list[dict[str, float]] = []
     if checkpoint.is_file() and curve_path.is_file():
         curve = json.loads(curve_path.read_text())
         # Other episodes than before the stop: the resumed run is a valid, not an equal one.
         rows = LocomotionVecEnv(family, settings.rows, seed + len(curve), settings.threads)
-        env = VecNormalize.load(str(work / "normalize.pkl"), rows)
+        env = VecNormalize.load(str(normalizer), rows)
         model = PPO.load(checkpoint, env=env, device="cpu")
         say(f"resuming at step {model.num_timesteps}")
     else:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
+from mpdt.data.replacement import disk, replacing
 from mpdt.data.sim.locomotion import LocomotionBatch
 from mpdt.data.sim.network import Weights, network_actions
 from mpdt.data.sim.robots import network_inputs
@@ -49,7 +50,8 @@ def describe_rungs(
         if name not in judged:
             weights = load_file(path) if path else None
             judged[name] = judge(family, weights, episodes, noise, seed, threads).tolist()
-            cache.write_text(json.dumps(judged))
+            with replacing(cache) as temporary, disk(cache):
+                temporary.write_text(json.dumps(judged))
             say(f"judged {done}/{len(paths)} snapshots")
     random = np.array(judged["random"])
     returns = np.array([judged[path.stem] for path in paths])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,9 +46,12 @@ def load_catalog(path: Path | None = None) -> Catalog:
 
     Args:
         path: None = the one in the working folder if there is one, else the shipped one.
-    Raises: MissingFileError; SpecError listing every mistake with its full key.
+    Raises: MissingFileError; StorageError; SpecError listing every mistake with its full key.
     """
     chosen = _default_path() if path is None else Path(path)
+    if chosen.is_dir():
+        raise StorageError("a folder, not a file", where=str(chosen),
+                           hint="rename it, or name another file with --spec")  # fmt: skip
     try:
         text = chosen.read_text(encoding="utf-8")
     except FileNotFoundError as error:
@@ -64,10 +68,10 @@ def load_catalog(path: Path | None = None) -> Catalog:
 def _default_path() -> Path:
     # Wheels carry the file inside the package; an editable install has it beside the package.
     package = Path(mpdt.__file__).parent
-    for candidate in (Path(FILE_NAME), package / FILE_NAME):
-        if candidate.is_file():
-            return candidate
-    return package.parent / FILE_NAME
+    here, inside = Path(FILE_NAME), package / FILE_NAME
+    if os.path.lexists(here):  # also a folder or a broken link: to pass it over would surprise
+        return here
+    return inside if inside.is_file() else package.parent / FILE_NAME
 
 
 def parse_catalog(text: str, where: str) -> dict[str, DatasetSpec]:

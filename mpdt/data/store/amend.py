@@ -1,4 +1,4 @@
-"""Add a slice, a TTA set or statistics to a finished file: a changed copy takes its place.
+"""Add a slice or a TTA set to a finished file: a changed copy takes its place.
 
 The episodes, and with them the content hash, stay what they are.
 """
@@ -21,9 +21,9 @@ from mpdt.data.store.digest import content_header
 from mpdt.data.store.inherit import task_rows
 from mpdt.data.store.reader import open_dataset, read_file
 from mpdt.data.store.sources import TtaSource
-from mpdt.data.store.tables import Int64, Slice, Stats
+from mpdt.data.store.tables import Int64, Slice
 from mpdt.data.store.ttaset import fill_tta
-from mpdt.data.store.writer import ALIGNED, closing, write_slice, write_stats
+from mpdt.data.store.writer import ALIGNED, closing, write_slice
 
 
 def add_slice(
@@ -41,13 +41,6 @@ def add_slice(
         if name in file.get("slices", {}):
             del file["slices"][name]
         write_slice(file, name, Slice(np.asarray(ids, np.int64), rule), dataset)
-    return open_dataset(path)
-
-
-def add_stats(path: Path, stats: Stats) -> Dataset:
-    """Store statistics in place of older ones, and open the new file."""
-    with _copy(path) as (file, _), disk(path):
-        write_stats(file, stats)
     return open_dataset(path)
 
 

@@ -1,4 +1,4 @@
-"""Hashes: of one episode, of a header with all its episodes, of a file's bytes.
+"""Hashes: of one episode, and of a header with all its episodes.
 
     digest        SHA-256 over the arrays (name, dtype, shape, C-order bytes each), then
                   task name, goal, quality, progress, policy hash, seed key
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,6 @@ from numpy.typing import NDArray
 from mpdt.data.episode import Episode
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store.layout import FORMAT, STEPS
-from mpdt.errors import MissingFileError, StorageError
-
-_CHUNK_BYTES = 1 << 22
 
 
 def episode_digest(episode: Episode, task_name: str) -> bytes:
@@ -81,21 +77,4 @@ def content_hash(header: Mapping[str, Any], digests: NDArray[np.uint8] | Iterabl
     else:
         for digest in digests:
             state.update(digest)
-    return state.hexdigest()
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of the file's bytes, 64 hex digits; for transport only.
-
-    Raises: MissingFileError, StorageError.
-    """
-    state = hashlib.sha256()
-    try:
-        with Path(path).open("rb") as stream:
-            while chunk := stream.read(_CHUNK_BYTES):
-                state.update(chunk)
-    except FileNotFoundError as error:
-        raise MissingFileError("no such file", where=str(path)) from error
-    except OSError as error:
-        raise StorageError("cannot be read", where=str(path), found=str(error)) from error
     return state.hexdigest()

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.layout import ROLE_CODES
 from mpdt.errors import FormatError
 
 
@@ -19,6 +20,7 @@ def check_tables(dataset: Dataset) -> None:
     Raises: FormatError naming the first disagreement.
     """
     where, episodes = str(dataset.path), dataset.episodes
+    _in_range(dataset.tasks.roles, len(ROLE_CODES), "/tasks/role", where)
     _in_range(episodes.task, len(dataset.tasks), "/episodes/task", where)
     _in_range(episodes.policy, len(dataset.policies.names), "/episodes/policy", where)
     _in_range(episodes.goal, len(dataset.goals.dims), "/episodes/goal", where)

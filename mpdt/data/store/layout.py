@@ -167,7 +167,7 @@ def write_text(group: h5py.Group, key: str, text: str) -> None:
 def read_text(group: h5py.Group, key: str, where: str) -> str:
     """What `write_text` stored.
 
-    Raises: FormatError where there is neither attribute nor dataset.
+    Raises: FormatError where there is neither attribute nor dataset; UnicodeError.
     """
     if key in group.attrs:
         value = group.attrs[key]
@@ -176,7 +176,9 @@ def read_text(group: h5py.Group, key: str, where: str) -> str:
     else:
         raise FormatError(f"attribute '{key}' of {group.name} is missing", where=where,
                           hint="the file is damaged or foreign; collect it again")  # fmt: skip
-    return value.decode("utf-8") if isinstance(value, bytes) else str(value)
+    text = value.decode("utf-8") if isinstance(value, bytes) else str(value)
+    text.encode("utf-8")  # h5py hides bytes that are no text; they would fail when printed
+    return text
 
 
 def write_json(group: h5py.Group, key: str, value: Any) -> None:
@@ -184,20 +186,23 @@ def write_json(group: h5py.Group, key: str, value: Any) -> None:
     write_text(group, key, canonical_json(value).decode("utf-8"))
 
 
-def read_json(group: h5py.Group, key: str, where: str) -> Any:
-    """What `write_json` stored.
+def read_json(group: h5py.Group, key: str, where: str) -> dict[str, Any]:
+    """What `write_json` stored; a file holds JSON objects only.
 
-    Raises: FormatError for text that is not JSON.
+    Raises: FormatError for text that is not a JSON object.
     """
     return parse_json(read_text(group, key, where), f"{where}: {group.name} {key}")
 
 
-def parse_json(text: str, where: str) -> Any:
-    """The value of stored JSON text.
+def parse_json(text: str, where: str) -> dict[str, Any]:
+    """The object of stored JSON text.
 
     Raises: FormatError.
     """
     try:
-        return json.loads(text)
+        value = json.loads(text)
     except json.JSONDecodeError as error:
         raise FormatError("not JSON", where=where, found=text[:60]) from error
+    if not isinstance(value, dict):
+        raise FormatError("not a JSON object", where=where, found=text[:60])
+    return value

@@ -17,14 +17,21 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.store import layout, tables
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash as hash_content
 from mpdt.data.store.digest import content_header
 from mpdt.data.store.integrity import check_tables
-from mpdt.errors import FormatError, MissingFileError, StorageError, UsageError, unknown_name
+from mpdt.data.store.origin import damaged_hint, missing_hint
+from mpdt.errors import (
+    FormatError,
+    MissingFileError,
+    MpdtError,
+    StorageError,
+    UsageError,
+    unknown_name,
+)
 
 __all__ = ["Dataset", "open_dataset", "open_tta_rewards", "parse_ref"]
 
@@ -63,42 +70,43 @@ def open_tta_rewards(path: Path | str, name: str) -> tuple[tables.Float32, table
     Raises: as `open_dataset`; UsageError for an unknown set.
     """
     path = Path(path)
-    with _open(path) as (file, stream):
+    with _open(path) as (file, stream), _told_as_damage(path):
         _check_header(file, path)
         sets = file.get("tta", {})
         if name not in sets:
             raise unknown_name("TTA set", name, sets, where=str(path))
         arrays = _Arrays(stream, preload=True)
-        group = sets[name]
+        group, sizes = sets[name], dict[str, int]()
+        layout.check_group(group["steps"], layout.TTA_STEPS, sizes, str(path))
+        layout.check_group(group, layout.TTA_SIMULATOR, sizes, str(path))
         successes = arrays.take(group["sim_successes"]) if "sim_successes" in group else None
         return arrays.take(group["sim_rewards"]), successes
 
 
 def read_file(path: Path, preload: bool = False, unfinished: bool = False) -> Dataset:
     """`open_dataset`, and for the writer alone also a file that is not `complete` yet."""
-    with _open(path) as (file, stream):
+    with _open(path) as (file, stream), _told_as_damage(path):
         _check_header(file, path, unfinished)
-        try:
-            dataset = _read(file, path, _Arrays(stream, preload))
-        except (OSError, KeyError, RuntimeError) as error:
-            if isinstance(error, FormatError):
-                raise
-            # h5py reports unreadable objects by these; the file opened, so it is damaged.
-            raise FormatError("damaged", where=str(path), found=str(error),
-                              hint=_collect_hint(path)) from error  # fmt: skip
-    return dataset
+        return _read(file, path, _Arrays(stream, preload))
 
 
-def _collect_hint(path: Path) -> str:
-    return f"mpdt-data collect {path.stem} -o {path}"
+# What h5py and numpy raise about metadata that makes no sense, found by flipping bytes.
+_DAMAGE = (
+    OSError, RuntimeError, ValueError, TypeError, KeyError, IndexError, AttributeError,
+    OverflowError, MemoryError, NotImplementedError,
+)  # fmt: skip
 
 
-def _missing_hint(path: Path) -> str:
-    """The command that makes a file of that name: collect, or split for `<name>-<quality>`."""
-    name, _, quality = path.stem.rpartition("-")
-    if name and quality in QUALITY_CODES:
-        return f"mpdt-data split {path.with_stem(name)} --quality {quality}"
-    return f"mpdt-data collect {path.stem}"
+@contextmanager
+def _told_as_damage(path: Path) -> Iterator[None]:
+    """The file opened, so whatever cannot be read in it is damage: one FormatError for all."""
+    try:
+        yield
+    except MpdtError:
+        raise
+    except _DAMAGE as error:
+        raise FormatError("damaged", where=str(path), found=f"{type(error).__name__}: {error}",
+                          hint=damaged_hint(path)) from error  # fmt: skip
 
 
 @contextmanager
@@ -109,12 +117,12 @@ def _open(path: Path) -> Iterator[tuple[h5py.File, BinaryIO]]:
     try:
         stream = path.open("rb")
     except FileNotFoundError as error:
-        raise MissingFileError("no such file", where=where, hint=_missing_hint(path)) from error
+        raise MissingFileError("no such file", where=where, hint=missing_hint(path)) from error
     except OSError as error:
         raise StorageError("cannot be opened", where=where, found=str(error)) from error
     with stream:
         if not h5py.is_hdf5(path):
-            raise FormatError("not an HDF5 file", where=where, hint=_collect_hint(path))
+            raise FormatError("not an HDF5 file", where=where, hint=damaged_hint(path))
         try:
             file = h5py.File(path, "r")
         except OSError as error:
@@ -130,7 +138,7 @@ def _refusal(path: Path, error: OSError) -> FormatError | StorageError:
     text = str(error)
     if "truncated" in text or "signature" in text or "superblock" in text:
         return FormatError("truncated or damaged", where=str(path), found=text,
-                           hint=f"copy it again, or: {_collect_hint(path)}")  # fmt: skip
+                           hint=damaged_hint(path))  # fmt: skip
     hint = "on a network disk, set HDF5_USE_FILE_LOCKING=FALSE" if "lock" in text else ""
     return StorageError("cannot be opened", where=str(path), found=text, hint=hint)
 
@@ -147,7 +155,7 @@ def _check_header(file: h5py.File, path: Path, unfinished: bool = False) -> None
                           hint=f"an mpdt release that writes mpdt/{major} reads it")  # fmt: skip
     if not unfinished and int(file.attrs.get("complete", 0)) != 1:
         raise FormatError("incomplete: its writer was stopped", where=where,
-                          hint=f"{_collect_hint(path)} (resumes)")  # fmt: skip
+                          hint=damaged_hint(path))  # fmt: skip
 
 
 class _Arrays:
@@ -194,7 +202,7 @@ def _read(file: h5py.File, path: Path, arrays: _Arrays) -> Dataset:
     where, sizes = str(path), dict[str, int]()
     for name, columns in layout.GROUPS.items():
         if name not in file:
-            raise FormatError(f"group /{name} is missing", where=where, hint=_collect_hint(path))
+            raise FormatError(f"group /{name} is missing", where=where, hint=damaged_hint(path))
         layout.check_group(file[name], columns, sizes, where)
     family = layout.read_text(file, "family", where)
     episodes = _columns(file["episodes"], layout.EPISODES)
@@ -234,7 +242,7 @@ def _read(file: h5py.File, path: Path, arrays: _Arrays) -> Dataset:
     if found != dataset.content_hash:
         raise FormatError("content hash does not fit the episode digests", where=where,
                           expected=dataset.content_hash, found=found,
-                          hint=_collect_hint(path))  # fmt: skip
+                          hint=damaged_hint(path))  # fmt: skip
     return dataset
 
 

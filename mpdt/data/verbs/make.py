@@ -43,10 +43,22 @@ class Plans(Options):
     """Another datasets.yaml than ./datasets.yaml or the shipped one."""
 
     def run(self) -> None:
-        from mpdt.data.plan import make_plan
-
-        plan = make_plan(self.chosen_spec())
+        plan = self.checked_plan()
         self.print(self.estimate(plan), self.estimate_text(plan))
+
+    def checked_plan(self) -> Plan:
+        """The plan of the chosen entry, which somebody can act; says where rates come from.
+
+        Raises: as `chosen_spec`; SpecError or UsageError for a behaviour that is not there.
+        """
+        from mpdt.data.plan import make_plan
+        from mpdt.data.sim.ladder import load_ladder
+
+        spec = self.chosen_spec()
+        plan, ladder = make_plan(spec), load_ladder(spec)
+        if ladder.notice:
+            self.say(ladder.notice)
+        return plan
 
     def chosen_spec(self) -> DatasetSpec:
         """The entry with --tasks and --smoke applied. Raises: SpecError, UsageError."""
@@ -119,17 +131,16 @@ class Collect(Plans):
     """Stop after the plan."""
 
     def run(self) -> None:
-        spec = self.chosen_spec()
         if self.dry_run:
             super().run()
             return
         from mpdt.data.build import collect
-        from mpdt.data.plan import make_plan
         from mpdt.data.verbs.describe import describe, level_table
         from mpdt.data.verbs.progress import show_progress
 
-        self.say(self.estimate_text(make_plan(spec)))
-        target = self.target(spec)
+        plan = self.checked_plan()
+        self.say(self.estimate_text(plan))
+        spec, target = plan.spec, self.target(plan.spec)
         with show_progress(self.quiet) as tell:
             done = collect(
                 spec, target, workers=self.workers, restart=self.restart, on_progress=tell
@@ -183,7 +194,8 @@ class Pretrain(Options):
 class Calibrate(Options):
     """Find the mixing rate that makes each Meta-World script `medium`; a minute per task.
 
-    The rates of the shipped entries are shipped too.
+    The rates of the shipped entries are shipped too. Those measured here win over them in
+    every collection started from this folder; delete the file to go back.
 
     Examples:
       mpdt-data calibrate ml10

@@ -83,12 +83,15 @@ def line_writer(
 
 def resume_note(progress: Progress) -> str:
     """`resuming: 31 of 74 blocks done, 0 damaged`, or nothing for a fresh start."""
-    if not progress.resumed_blocks and not progress.damaged_blocks:
+    if not (progress.resumed_blocks or progress.damaged_blocks or progress.outdated_blocks):
         return ""
-    return (
+    note = (
         f"resuming: {progress.resumed_blocks} of {progress.num_blocks} blocks done, "
         f"{progress.damaged_blocks} damaged"
     )
+    if progress.outdated_blocks:
+        note += f", {progress.outdated_blocks} made again: other rates or weights"
+    return note
 
 
 @contextmanager

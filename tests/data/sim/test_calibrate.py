@@ -18,13 +18,12 @@ from mpdt.data.sim.calibrate import (
 )
 from mpdt.data.sim.calibration import (
     LOCAL_FILE,
-    Calibration,
     Measurement,
     load_calibrations,
     save_calibrations,
 )
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
-from mpdt.errors import DataError, SpecError
+from mpdt.errors import DataError, SpecError, StorageError
 
 
 def interpolated(*points):
@@ -213,7 +212,7 @@ def test_calibrate_writes_each_task_where_the_ladder_looks(monkeypatch, tmp_path
         calibrate(make_spec(script=None))
 
 
-def test_file_is_sorted_merged_strict_and_below_the_shipped_one(monkeypatch, tmp_path):
+def test_file_is_sorted_merged_strict_and_above_the_shipped_one(monkeypatch, tmp_path):
     monkeypatch.setattr(module, "Probe", FakeProbe)
     one = calibrate_task("reach", 500, coarse=2, careful=4)
     other = msgspec.structs.replace(one, task="a-task", horizon=3)
@@ -224,8 +223,10 @@ def test_file_is_sorted_merged_strict_and_below_the_shipped_one(monkeypatch, tmp
     assert '"task":"a-task"' in lines[3] and '"task":"reach"' in lines[4] and len(lines) == 6
     found = load_calibrations(tmp_path)
     assert found["a-task", 3] == other
-    # the shipped calibration of a task and horizon always wins
-    assert isinstance(found["reach", 500], Calibration) and found["reach", 500] != one
+    # what was measured here wins over what is shipped
+    shipped = load_calibrations(tmp_path / "nowhere")
+    assert found["reach", 500] == one != shipped["reach", 500]
+    assert found["push", 500] == shipped["push", 500]
     assert not list(tmp_path.glob("*.tmp"))
     path.write_text(path.read_text().replace("mpdt-calibration/1", "mpdt-calibration/9"))
     with pytest.raises(DataError, match="expected mpdt-calibration/1, found mpdt-calibration/9"):
@@ -249,3 +250,27 @@ def test_shipped_calibration_puts_medium_between_random_and_expert():
         assert level == pytest.approx(entry.level, abs=1e-4)
         assert entry.medium.episodes >= 20
         assert entry.versions["mujoco"] == "3.3.0" and entry.versions["metaworld"] == "3.1.1"
+
+
+def test_a_target_that_cannot_be_written_is_refused_before_measuring(monkeypatch, tmp_path):
+    def measured(*args, **options):
+        raise AssertionError("measured first")
+
+    monkeypatch.setattr(module, "calibrate_task", measured)
+    (tmp_path / "notes.json").write_text("precious")
+    for target, error, what in (
+        (tmp_path / "no" / "rates.json", StorageError, "folder does not exist"),
+        (tmp_path, StorageError, "a folder is in the way"),
+        (tmp_path / ("x" * 253), StorageError, "cannot be written"),
+        (tmp_path / "notes.json", DataError, "not a calibration file"),
+    ):
+        with pytest.raises(error, match=what) as caught:
+            calibrate(make_spec(), target)
+        assert caught.value.hint
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.json"]
+
+
+def test_a_folder_in_place_of_the_local_file_is_refused(tmp_path):
+    (tmp_path / LOCAL_FILE).mkdir()
+    with pytest.raises(StorageError, match="cannot be read"):
+        load_calibrations(tmp_path)

@@ -4,7 +4,14 @@ import msgspec
 import pytest
 
 from mpdt.data.sim.calibrate import RULE
-from mpdt.data.sim.calibration import LOCAL_FILE, Calibration, Measurement, save_calibrations
+from mpdt.data.sim.calibration import (
+    LOCAL_FILE,
+    Calibration,
+    Measurement,
+    load_calibrations,
+    load_local,
+    save_calibrations,
+)
 from mpdt.data.sim.ladder import ScriptLadder, load_ladder
 from mpdt.data.sim.policies import ScriptedPolicy, UniformPolicy
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
@@ -124,6 +131,24 @@ def test_missing_calibration_says_how_to_make_one(folder, tmp_path):
     counts = EpisodeCounts(random=1, expert=1)
     ladder = load_ladder(make_spec(horizon=77, episodes=counts), folder)
     assert ladder.policy(REACH, "history", 2 * STRIDE)[0].info.level == -1.0
+
+
+def test_a_local_rate_wins_and_is_told(folder, tmp_path, monkeypatch):
+    """Shipped for reach at 500 steps is another rate than 0.2; push stays the shipped one."""
+    (entry, *_) = load_local(folder).values()
+    shipped = load_calibrations(tmp_path / "nowhere")
+    local = msgspec.structs.replace(entry, task="reach", horizon=500, rate=0.2, level=0.61)
+    save_calibrations(folder / LOCAL_FILE, [local], RULE)
+    spec = make_spec(horizon=500)
+    ladder = load_ladder(spec, folder)
+    assert ladder.policy(REACH, "medium", 0)[0].mix_rate == 0.2 != shipped["reach", 500].rate
+    assert ladder.policy(PUSH, "medium", 0)[0].mix_rate == shipped["push", 500].rate
+    assert ladder.notice == f"mixing rates of 1 task from {folder / LOCAL_FILE}"
+    monkeypatch.chdir(folder)
+    assert load_ladder(spec).notice == "mixing rates of 1 task from ./metaworld.calibration.json"
+    assert load_ladder(make_spec(), folder).notice.startswith("mixing rates of 2 tasks")
+    no_medium = make_spec(horizon=500, episodes=EpisodeCounts(random=1, expert=1))
+    assert load_ladder(no_medium, folder).notice == ""
 
 
 def test_scripts_are_for_metaworld_only():

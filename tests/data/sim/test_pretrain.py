@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from mpdt.data.sim import pretrain as module
 from mpdt.data.sim.network import load_rungs, network_actions
 from mpdt.data.sim.pretrain import pretrain
 from mpdt.data.spec.tasks import get_family
-from mpdt.errors import UsageError
+from mpdt.errors import StorageError, UsageError
 
 
 @pytest.fixture()
@@ -70,3 +71,24 @@ def test_bad_names_and_sizes_are_refused(tmp_path: Path) -> None:
         pretrain("cheetah_dirr", output=tmp_path)
     with pytest.raises(UsageError, match="too few steps"):
         pretrain("cheetah_dir", steps=10, output=tmp_path)
+
+
+def test_a_folder_that_cannot_be_made_is_one_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(StorageError, match="cannot be written") as caught:
+        pretrain("cheetah_dir", output=tmp_path / "file" / "weights")
+    assert "-o" in caught.value.hint
+    (tmp_path / "cheetah_dir.json").mkdir()
+    with pytest.raises(StorageError, match="a folder is in the way"):
+        pretrain("cheetah_dir", output=tmp_path)
+
+
+def test_a_disk_that_fills_up_on_the_way_is_one_clear_error(
+    tiny: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(StorageError, match="the disk is full"):
+        pretrain("cheetah_dir", steps=800, output=tmp_path)

@@ -1,13 +1,22 @@
 """Statistics against numbers worked out by hand, and against numpy on everything at once."""
 
+import h5py
 import numpy as np
 import pytest
 
 from mpdt.data.episode import Episode, PolicyInfo
 from mpdt.data.slices.stats import compute_stats
-from mpdt.data.store.amend import add_slice, add_stats
+from mpdt.data.store.amend import add_slice
+from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.tables import TaskRow
-from mpdt.data.store.writer import Additions, EpisodeSource, FileHeader, Slice, write_file
+from mpdt.data.store.writer import (
+    Additions,
+    EpisodeSource,
+    FileHeader,
+    Slice,
+    write_file,
+    write_stats,
+)
 from mpdt.errors import DataError, UsageError
 
 POLICY = bytes(32)
@@ -117,7 +126,9 @@ def test_nothing_to_look_at(small):
 
 
 def test_written_and_read_back(small):
-    again = add_stats(small.path, compute_stats(small))
+    with h5py.File(small.path, "r+") as file:
+        write_stats(file, compute_stats(small))
+    again = open_dataset(small.path)
     assert again.stats["observations"]["max"].tolist() == [22, 7]
     assert again.stats_info.tasks_seen == (0, 2)
     assert again.stats_info.constant["observations"] == (1,)

@@ -4,7 +4,7 @@ import pytest
 
 from mpdt.data.spec.catalog import load_catalog, parse_catalog
 from mpdt.data.spec.entry import Behaviour, EpisodeCounts, TtaRule
-from mpdt.errors import MissingFileError, SpecError, UsageError
+from mpdt.errors import MissingFileError, SpecError, StorageError, UsageError
 
 GOOD = """
 schema: 1
@@ -112,6 +112,19 @@ def test_shipped_entries():
     assert (ml10.horizon, ml10.block, ml10.behaviour.script) == (500, 10, "metaworld")
     assert ml10.tta["default"] == TtaRule(episodes=20, action_scale=3.0)
     assert len(ml10.resolve_tasks()) == 15
+
+
+@pytest.mark.parametrize("kind", ["folder", "broken link"])
+def test_what_stands_in_for_the_local_file_is_not_passed_over(tmp_path, monkeypatch, kind):
+    monkeypatch.chdir(tmp_path)
+    if kind == "folder":
+        Path("datasets.yaml").mkdir()
+    else:
+        Path("datasets.yaml").symlink_to("nowhere.yaml")
+    with pytest.raises((StorageError, MissingFileError), match=r"^datasets\.yaml: ") as caught:
+        load_catalog()
+    assert ("a folder, not a file" in str(caught.value)) == (kind == "folder")
+    assert caught.value.hint
 
 
 def test_missing_and_unreadable_files(tmp_path):

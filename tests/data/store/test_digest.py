@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.episode import Episode
-from mpdt.data.store.digest import content_hash, content_header, episode_digest, file_hash
-from mpdt.errors import MissingFileError
+from mpdt.data.store.digest import content_hash, content_header, episode_digest
 
 ONE_STEP = Episode(
     observations=np.array([[0.5], [1.5]], np.float32),
@@ -90,13 +89,3 @@ def test_content_hash_recipe():
     assert content_hash(header, table) == wanted
     assert content_hash(header, reversed(digests)) != wanted
     assert content_header("f", [], 1, 1, has_success=True)["fields"][-1] == "successes"
-
-
-def test_file_hash(tmp_path):
-    (tmp_path / "a").write_bytes(b"abc")
-    # FIPS 180-2's own example.
-    assert file_hash(tmp_path / "a") == (
-        "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
-    )
-    with pytest.raises(MissingFileError):
-        file_hash(tmp_path / "b")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from mpdt.data.store import layout
-from mpdt.data.store.amend import add_stats
 from mpdt.data.store.reader import open_dataset, open_tta_rewards, parse_ref
 from mpdt.data.store.tables import Stats
+from mpdt.data.store.writer import write_stats
 from mpdt.errors import FormatError, MissingFileError, UsageError
 
 STEPS = ("observations", "actions", "rewards", "terminations", "truncations")
@@ -94,15 +94,20 @@ def test_parse_ref(tmp_path):
 
 
 def test_a_missing_file_says_how_to_make_it(tmp_path):
+    path = tmp_path / "cheetah_dir.h5"
     with pytest.raises(MissingFileError, match="no such file") as caught:
-        open_dataset(tmp_path / "cheetah_dir.h5")
-    assert caught.value.hint == "mpdt-data collect cheetah_dir"
+        open_dataset(path)
+    assert caught.value.hint == f"mpdt-data collect cheetah_dir -o {path}"
 
 
-def test_a_missing_cut_out_names_split(tmp_path):
-    with pytest.raises(MissingFileError) as caught:
-        open_dataset(tmp_path / "ml10-medium.h5")
-    assert caught.value.hint == f"mpdt-data split {tmp_path / 'ml10.h5'} --quality medium"
+def test_a_damaged_file_says_how_to_make_it_again(tmp_path):
+    path = tmp_path / "ml10.h5"
+    path.write_text("text")
+    with pytest.raises(FormatError) as caught:
+        open_dataset(path)
+    assert caught.value.hint == (
+        f"copy it again, or delete it and make it again: mpdt-data collect ml10 -o {path}"
+    )
 
 
 def test_files_that_are_not_ours(tmp_path):
@@ -167,6 +172,10 @@ def retype(name, values):
         (delete("tta/default/episodes/preset_return"), "preset_return is missing"),
         (lambda file: file.attrs.__delitem__("family"), "attribute 'family' of / is missing"),
         (attribute("spec", "{"), "not JSON"),
+        (attribute("spec", "[]"), "not a JSON object"),
+        (attribute("name", np.bytes_(b"\xff")), "damaged; found UnicodeDecodeError"),
+        (attribute("complete", "yes"), "damaged; found ValueError"),
+        (put("tasks/role", 1, 3), "/tasks/role points outside its table"),
         (retype("steps/rewards", np.zeros(7)), "/steps/rewards has the wrong type; expected <f4"),
         (retype("steps/rewards", np.zeros(6, "<f4")), "/steps/rewards has the wrong shape"),
         (retype("tasks/name", np.zeros(2)), "/tasks/name has the wrong type; expected str"),
@@ -191,6 +200,15 @@ def test_damaged_files_get_one_clear_error(made, change, what):
     assert "hand-made.h5" in str(caught.value)
 
 
+def test_text_that_is_no_text(made):
+    """h5py reads such an attribute without a word; the first print of it would fail."""
+    content = made.path.read_bytes()
+    made.path.unlink()
+    made.path.write_bytes(content.replace(b"CC0-1.0", b"\xffC0-1.0"))
+    with pytest.raises(FormatError, match="damaged; found UnicodeEncodeError"):
+        open_dataset(made.path)
+
+
 def test_bad_slices(made):
     amend(made.path, put_slice([1, 1]))
     with pytest.raises(FormatError, match="/slices/x is not ascending"):
@@ -211,7 +229,8 @@ def put_slice(ids):
 def test_statistics_of_test_tasks_are_refused(made):
     widths = {"observations": 2, "actions": 1, "rewards": 1, "returns": 1}
     fields = {f: {s: np.zeros(n) for s in layout.STATS} for f, n in widths.items()}
-    path = add_stats(made.path, Stats(fields, "", (0, 1), {})).path
+    path = made.path
+    amend(path, lambda file: write_stats(file, Stats(fields, "", (0, 1), {})))
     assert open_dataset(path).stats_info.tasks_seen == (0, 1)  # role both: they are training tasks
     amend(path, put("tasks/role", 1, 1))
     with pytest.raises(FormatError, match="statistics saw test tasks; found backward"):

@@ -1,0 +1,64 @@
+"""Origin: which command makes a file of a given name. For the hints of errors about it.
+
+ml10.h5, data/ml10.h5      mpdt-data collect ml10, with -o data/ml10.h5
+ml10-smoke.h5              mpdt-data collect ml10 --smoke
+ml10-medium.h5             mpdt-data split ml10.h5 --quality medium
+anything else              the nearest entry of datasets.yaml, or how to list them
+"""
+
+from __future__ import annotations
+
+import difflib
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
+
+from mpdt.data.episode import QUALITY_CODES
+from mpdt.data.spec.catalog import load_catalog
+from mpdt.errors import MpdtError
+
+LIST = "mpdt-data list shows what can be made"
+
+
+def missing_hint(path: Path) -> str:
+    """How to get a file that is not there."""
+    known = _entries()
+    if command := _command(path, known):
+        return command
+    near = difflib.get_close_matches(path.stem, known, n=1, cutoff=0.5)
+    if not near:
+        return LIST
+    meant = path.with_name(f"{near[0]}.h5")
+    return f"did you mean {meant}? It is made by: {_command(meant, known)}"
+
+
+def damaged_hint(path: Path) -> str:
+    """How to get a file again that is there, but not whole."""
+    command = _command(path, _entries())
+    return f"copy it again, or delete it and make it again: {command or LIST}"
+
+
+def _command(path: Path, known: Iterable[str]) -> str:
+    """The command that makes `path`, or nothing for a name that says nothing."""
+    known = set(known)
+    if path.stem in known:
+        return _collect(path.stem, path)
+    name, _, kind = path.stem.rpartition("-")
+    source = path.with_name(f"{name}.h5")
+    if kind == "smoke" and name in known:
+        return _collect(f"{name} --smoke", path)
+    if kind in QUALITY_CODES and name and (name in known or source.exists()):
+        return f"mpdt-data split {shlex.quote(str(source))} --quality {kind}"
+    return ""
+
+
+def _collect(words: str, path: Path) -> str:
+    is_default = path == Path(f"{path.stem}.h5")
+    return f"mpdt-data collect {words}" + ("" if is_default else f" -o {shlex.quote(str(path))}")
+
+
+def _entries() -> list[str]:
+    try:
+        return list(load_catalog().specs)
+    except MpdtError:  # a mistake in datasets.yaml is not what this error is about
+        return []
