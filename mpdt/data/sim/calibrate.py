@@ -46,7 +46,7 @@ SLACK = 0.1  # a curve may turn by this much and count as monotone
 ERROR = 0.025  # standard error of the level that ends the careful measurement
 PORTIONS = 4  # at most so many times the careful number of episodes
 CLOSE = 0.03  # a level this near 0.5 is not improved further
-BAND = (0.40, 0.60)  # a medium outside is refused; `verify` allows [0.35, 0.65]
+BAND = (0.40, 0.60)  # a medium outside is refused; `levels.py` allows [0.35, 0.65]
 
 
 RULE = (
