@@ -49,8 +49,8 @@ def base() -> TrainConfig:
         head=HeadSettings(hidden=256),
         sampler=SamplerSettings(start_bias=30),
         optimiser=OptimiserSettings(schedule="cosine"),
-        teacher=TeacherSettings(steps=300),
-        multitask=MultitaskSettings(steps=900, checkpoint_every=100),
+        teacher=TeacherSettings(steps=200),
+        multitask=MultitaskSettings(steps=600, checkpoint_every=100),
         evaluation=EvaluationSettings(episodes=5),
     )
 
