@@ -28,11 +28,11 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from mpdt.data.sim.batch import make_batch
 from mpdt.data.sim.collect import run_block
 from mpdt.data.sim.ladder import load_ladder
 from mpdt.data.sim.locomotion_env import LocomotionEnv
 from mpdt.data.sim.robots import FRAME_SKIP, ROBOTS
+from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.tasks import get_family
 from mpdt.seeding import Quality, SeedKey

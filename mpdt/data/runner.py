@@ -15,10 +15,11 @@ import numpy.typing as npt
 from mpdt.data.episode import Episode
 from mpdt.data.parts import PartsFolder
 from mpdt.data.plan import Block, Plan
-from mpdt.data.sim.batch import BatchEnv, make_batch
+from mpdt.data.sim.batch import BatchEnv
 from mpdt.data.sim.collect import run_block
 from mpdt.data.sim.ladder import Ladder, load_ladder
 from mpdt.data.sim.policies import Policy, UniformPolicy, ZeroPolicy
+from mpdt.data.sim.simulators import make_batch
 from mpdt.errors import DataError
 
 

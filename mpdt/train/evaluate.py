@@ -18,7 +18,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mpdt.data.sim.batch import BatchEnv, make_batch
+from mpdt.data.sim.batch import BatchEnv
+from mpdt.data.sim.simulators import make_batch
 from mpdt.errors import TrainingError, UsageError
 from mpdt.seeding import Quality, SeedKey, Stream
 

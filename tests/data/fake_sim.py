@@ -126,6 +126,11 @@ if __name__ in ("__main__", "__mp_main__"):
     install(setattr)
 
 if __name__ == "__main__":
+    import signal
+
     from mpdt.data.cli import main
+
+    # A test run in the background of a script inherits an ignored Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
     sys.exit(main())

@@ -11,7 +11,7 @@ from mpdt.data.build import collect
 from mpdt.data.parts import PartsFolder
 from mpdt.data.plan import Block, make_plan
 from mpdt.data.runner import BlockRunner
-from mpdt.data.sim.batch import make_batch
+from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts, smoke
 from mpdt.data.spec.tasks import get_family

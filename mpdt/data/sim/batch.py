@@ -11,18 +11,14 @@ Nothing resets by itself: a finished row goes on being simulated until the calle
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from mpdt.errors import SpecError
 from mpdt.seeding import SeedKey
-
-if TYPE_CHECKING:
-    from mpdt.data.spec.tasks import Family, Task
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -81,34 +77,3 @@ class BatchEnv(Protocol):
     def step(self, actions: npt.NDArray[np.float32]) -> StepResult:
         """One env step of all rows. `actions` is (B, A) float32: the numbers that are stored."""
         ...
-
-
-def make_batch(
-    family: Family, tasks: Sequence[Task], env: Mapping[str, float | bool] | None = None
-) -> BatchEnv:
-    """The simulator of `family` with one row per entry of `tasks`.
-
-    Args:
-        family: row of the family registry; its `simulator` decides.
-        tasks: task of each row; the same task may stand in many rows.
-        env: simulator options of the spec; Meta-World has none.
-
-    Raises: SpecError for an empty `tasks` or an option the simulator does not have.
-    """
-    if not tasks:
-        raise SpecError("a batch needs at least one task", where=family.name)
-    options = dict(env or {})
-    # Lazy: each simulator costs its import only where it is used.
-    if family.simulator == "metaworld":
-        from mpdt.data.sim.metaworld import MetaworldBatch
-
-        if options:
-            raise SpecError(
-                f"unknown simulator option '{sorted(options)[0]}'",
-                where=f"{family.name}.env",
-                hint="Meta-World is stepped as published: leave `env` out",
-            )
-        return MetaworldBatch(tasks)
-    from mpdt.data.sim.locomotion import LocomotionBatch
-
-    return LocomotionBatch(family, tasks, options)

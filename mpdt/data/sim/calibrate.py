@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mpdt.data.sim.batch import BatchEnv, FloatArray, make_batch
+from mpdt.data.sim.batch import BatchEnv, FloatArray
 from mpdt.data.sim.calibration import (
     Calibration,
     Measurement,
@@ -34,6 +34,7 @@ from mpdt.data.sim.calibration import (
 )
 from mpdt.data.sim.collect import run_block
 from mpdt.data.sim.policies import ScriptedPolicy
+from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import DataError, SpecError

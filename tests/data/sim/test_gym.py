@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from mpdt.data.sim.batch import make_batch
 from mpdt.data.sim.gym import MetaworldTask, make
+from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import UsageError
 from mpdt.seeding import SeedKey, Stream

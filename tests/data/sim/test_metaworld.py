@@ -8,9 +8,9 @@ import warnings
 import numpy as np
 import pytest
 
-from mpdt.data.sim.batch import make_batch
 from mpdt.data.sim.metaworld import GOAL_COLUMNS, MAX_STEPS, MetaworldBatch, MetaworldEnv
 from mpdt.data.sim.policies import ScriptedPolicy
+from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import ShapeError, SpecError, UsageError
 from mpdt.seeding import SeedKey, Stream
