@@ -2,8 +2,8 @@
 
     python benchmarks/collect_rate.py [--rounds 5] [--json FILE]
 
-limit   open-loop `mujoco.rollout` of the same model and number of episodes: no policy, no
-        observations, no rewards
+limit   open-loop `mujoco.rollout` of the same episodes from the same states and actions: no
+        policy, no observations, no rewards
 ours    `run_block` with the shipped network: policy, clipping, rewards, episodes
 gym     one `LocomotionEnv` stepped with ready-made actions, no policy
 
@@ -27,7 +27,9 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import mujoco
 import numpy as np
 from mujoco import rollout
+from numpy.typing import NDArray
 
+from mpdt.data.episode import Episode
 from mpdt.data.sim.collect import run_block
 from mpdt.data.sim.ladder import load_ladder
 from mpdt.data.sim.locomotion_env import LocomotionEnv
@@ -41,20 +43,8 @@ EPISODES, HORIZON = 50, 200
 STEPS = EPISODES * HORIZON
 
 
-def native() -> Callable[[], None]:
-    model = ROBOTS["cheetah"].model()
-    data = mujoco.MjData(model)
-    start = np.zeros((EPISODES, 1 + model.nq + model.nv))
-    generator = np.random.Generator(np.random.PCG64(0))
-    control = generator.uniform(-1, 1, (EPISODES, HORIZON, model.nu)).repeat(FRAME_SKIP, axis=1)
-
-    def run() -> None:
-        rollout.rollout([model] * EPISODES, [data], start, control)
-
-    return run
-
-
-def ours() -> Callable[[], None]:
+def ours() -> tuple[Callable[[], None], NDArray[np.float64], list[Episode]]:
+    """Collecting a block of expert episodes; their exact first observations; the episodes."""
     spec = load_catalog().get("cheetah_dir")
     family = get_family("cheetah_dir")
     task = family.tasks[0]
@@ -62,21 +52,42 @@ def ours() -> Callable[[], None]:
     policy, progress = load_ladder(spec).policy(task, "expert", 0)
     keys = [SeedKey(0, family.id, 0, Quality.EXPERT, 0, row) for row in range(EPISODES)]
 
+    def run() -> list[Episode]:
+        return run_block(env, policy, keys, horizon=HORIZON, quality=2, progress=progress)
+
+    first = env.reset(keys, env.draw_goals(keys))
+    return lambda: [].extend(run()), first, run()
+
+
+def native(first: NDArray[np.float64], episodes: list[Episode]) -> Callable[[], None]:
+    """The same episodes again, open loop: physics alone, from the same states and actions.
+
+    Exactly the same: a rounded start diverges, and a tumbling cheetah is slower to simulate.
+    """
+    model = ROBOTS["cheetah"].model()
+    data = mujoco.MjData(model)
+    start = np.zeros((EPISODES, 1 + model.nq + model.nv))
+    start[:, 1] = first[:, 17]  # after a reset the torso's x is the root's
+    start[:, 2:] = first[:, :17]
+    actions = np.stack([episode.actions for episode in episodes]).astype(np.float64)
+    control = actions.repeat(FRAME_SKIP, axis=1)
+
     def run() -> None:
-        run_block(env, policy, keys, horizon=HORIZON, quality=2, progress=progress)
+        states, _ = rollout.rollout([model] * EPISODES, [data], start, control)
+        last = np.stack([episode.observations[-1, 8:17] for episode in episodes])
+        assert np.array_equal(states[:, -1, -model.nv :].astype(np.float32), last)
 
     return run
 
 
-def gymnasium_env() -> Callable[[], None]:
+def gymnasium_env(episodes: list[Episode]) -> Callable[[], None]:
+    """One environment stepped with the actions that were stored."""
     env = LocomotionEnv("cheetah_dir", "forward")
-    generator = np.random.Generator(np.random.PCG64(0))
-    actions = generator.uniform(-1, 1, (HORIZON, 6)).astype(np.float32)
 
     def run() -> None:
-        for episode in range(EPISODES):
-            env.reset(seed=episode)
-            for action in actions:
+        for number, episode in enumerate(episodes):
+            env.reset(seed=number)
+            for action in episode.actions:
                 env.step(action)
 
     return run
@@ -87,7 +98,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    variants = {"limit": native(), "ours": ours(), "gym": gymnasium_env()}
+    collect, first, episodes = ours()
+    variants = {"limit": native(first, episodes), "ours": collect, "gym": gymnasium_env(episodes)}
     rates: dict[str, list[float]] = {name: [] for name in variants}
     for run in variants.values():
         run()  # warm caches and allocators
