@@ -40,7 +40,7 @@ check: .venv/ready
 	$(BIN)/lint-imports
 
 bench: .venv/ready
-	$(BIN)/python benchmarks/collect_rate.py
+	$(BIN)/python benchmarks/collect_rate.py --rounds 7
 
 clean:
 	rm -rf .venv demo
