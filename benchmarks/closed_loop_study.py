@@ -33,12 +33,15 @@ VARIANTS: dict[str, list[str]] = {
 }
 
 
-def run(data: Path, name: str, options: list[str], steps: int, threads: int) -> tuple[Path, float]:
+def run(
+    data: Path, name: str, options: list[str], steps: int, threads: int, seed: int
+) -> tuple[Path, float]:
     """Train and judge one variant; returns its folder and the wall time in seconds."""
+    folder = f"study-{data.stem}-{name}-seed{seed}"
     command = [
         str(Path(sys.executable).parent / "mpdt-train"),
-        *("--data", str(data), "--preset", "demo", "--name", f"study-{data.stem}-{name}"),
-        *("--threads", str(threads), "--teacher.distillation", "none"),
+        *("--data", str(data), "--preset", "demo", "--name", folder),
+        *("--seed", str(seed), "--threads", str(threads), "--teacher.distillation", "none"),
         *("--multitask.steps", str(steps), "--evaluation.no-constants"),
         # Seeds of its own: nothing may be chosen on those of the final tables.
         *("--evaluation.seed", "1000", "--evaluation.episodes", "5"),
@@ -47,7 +50,7 @@ def run(data: Path, name: str, options: list[str], steps: int, threads: int) -> 
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     began = time.monotonic()
     subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL)
-    return Path("runs") / f"study-{data.stem}-{name}", time.monotonic() - began
+    return Path("runs") / folder, time.monotonic() - began
 
 
 def main() -> None:
@@ -55,11 +58,12 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--steps", type=int, default=600)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", choices=sorted(VARIANTS), default=list(VARIANTS))
     args = parser.parse_args()
     print("| variant | action loss | mean | worst task | s |\n|---|---|---|---|---|")
     for name in args.only:
-        folder, seconds = run(args.data, name, VARIANTS[name], args.steps, args.threads)
+        folder, seconds = run(args.data, name, VARIANTS[name], args.steps, args.threads, args.seed)
         print(row(name, folder, seconds), flush=True)
 
 
