@@ -83,9 +83,14 @@ class TaskLevels:
 
 
 def measure_levels(plan: Plan, reports: Iterable[BlockReport]) -> dict[str, TaskLevels]:
-    """Mean returns per task name, in the plan's task order, with the error of the level."""
+    """Mean returns per task name, in the plan's task order, with the error of the level.
+
+    Reports may come in any order: sums of floats depend on theirs, so blocks are put in the
+    plan's first and the references in the file do not tell who finished when.
+    """
     returns: dict[tuple[str, str], list[float]] = {}
-    for report in reports:
+    place = {block: number for number, block in enumerate(plan.blocks)}
+    for report in sorted(reports, key=lambda report: place[report.block]):
         if report.block.kind != "tta":
             key = (report.block.task.name, report.block.name)
             returns.setdefault(key, []).extend(report.returns.tolist())

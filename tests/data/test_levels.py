@@ -7,7 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from mpdt.data.levels import TaskLevels, level_error
+from mpdt.data.levels import TaskLevels, level_error, measure_levels
+from mpdt.data.plan import make_plan
+from mpdt.data.runner import BlockReport
+from mpdt.data.spec.catalog import load_catalog
 
 NAN = float("nan")
 
@@ -87,3 +90,14 @@ def test_error_of_a_level_is_that_of_many_draws() -> None:
     seen = [levels(*(float(returns.mean()) for returns in one)).medium_level for one in sets]
     told = np.mean([level_error(*one) for one in sets])
     assert told == pytest.approx(np.std(seen), rel=0.06)
+
+
+def test_the_order_of_arrival_changes_no_bit() -> None:
+    """0.1 + 0.2 + 0.3 is not 0.3 + 0.2 + 0.1: references must not tell who finished when."""
+    plan = make_plan(load_catalog().get("cheetah_dir"))
+    draws = np.random.Generator(np.random.PCG64(0))
+    reports = [BlockReport(b, b.steps, 1e3 * draws.normal(size=b.rows)) for b in plan.blocks]
+    wanted = measure_levels(plan, reports)
+    for _ in range(5):
+        shuffled = [reports[i] for i in draws.permutation(len(reports))]
+        assert repr(measure_levels(plan, shuffled)) == repr(wanted)
