@@ -40,8 +40,8 @@ def test_out_of_range(kind: type, where: str, value: Any, expected: str) -> None
 
 
 def test_the_edges_are_inside() -> None:
-    PromptSettings(length=1, rank=1, init_std=1e-9, task_noise=0.0)
-    InputSettings(time_table=0, return_dropout=0.0, scale=0.1, observation_clip=0.0)
-    InputSettings(return_dropout=0.99)
-    HeadSettings(hidden=0)
-    BackboneSettings(depth=1)
+    assert PromptSettings(length=1, rank=1, init_std=1e-9, task_noise=0.0).length == 1
+    assert InputSettings(time_table=0, scale=0.1, observation_clip=0.0).time_table == 0
+    assert InputSettings(return_dropout=0.99).return_dropout == 0.99
+    assert HeadSettings(hidden=0).hidden == 0
+    assert BackboneSettings(depth=1).depth == 1

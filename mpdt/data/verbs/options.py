@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -14,7 +15,7 @@ Names = Annotated[tuple[str, ...], arg(metavar="NAME[,NAME...]")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class Options(ABC):
     json: bool = False
     """Print results as one JSON document."""
     quiet: Annotated[bool, arg(aliases=["-q"])] = False
@@ -24,8 +25,9 @@ class Options:
     color: Literal["auto", "never"] = "auto"
     """Colour on terminals only, or never."""
 
+    @abstractmethod
     def run(self) -> None:
-        raise NotImplementedError
+        """Do it. Raises: MpdtError."""
 
     def say(self, line: str) -> None:
         """A remark for whoever watches."""
