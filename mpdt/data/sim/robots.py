@@ -149,10 +149,31 @@ def network_inputs(
 ) -> NDArray[np.float64]:
     """What a behaviour network sees: observation without absolute position, and the goal.
 
-    A heading is given as (cos, sin), so that directions near 0 and 2 pi are neighbours.
     Absolute x is left out because it grows without bound and says nothing about the gait.
+    A heading is no input: the ant is looked at from its goal's side, so all directions are
+    one task from different starts. Its attitude is given as two columns of the rotation
+    matrix, which are continuous where quaternions and angles jump (Zhou et al. 2019, 6D).
     """
-    goals = goals.reshape(-1, 1)
     if kind == "heading":
-        goals = np.concatenate([np.cos(goals), np.sin(goals)], axis=1)
-    return np.concatenate([observations[:, ROBOTS[robot].network_columns], goals], axis=1)
+        return _seen_from(observations, goals)
+    columns = observations[:, ROBOTS[robot].network_columns]
+    return np.concatenate([columns, goals.reshape(-1, 1)], axis=1)
+
+
+def _seen_from(observations: Floats, headings: Floats) -> Floats:
+    """Ant observations (B, 27) turned so that the goal (B,) lies along x: (B, 29).
+
+    z | two columns of the attitude (6) | joints (8) | velocity (3), turned | the other rates,
+    which MuJoCo gives in the torso's own frame (11).
+    """
+    cos, sin = np.cos(headings), np.sin(headings)
+
+    def turned(x: Floats, y: Floats, z: Floats) -> Floats:
+        return np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=1)
+
+    w, x, y, z = observations[:, 1:5].T
+    forward = turned(1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y))
+    left = turned(2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x))
+    velocity = turned(*observations[:, 13:16].T)
+    rest = (observations[:, 5:13], velocity, observations[:, 16:])
+    return np.concatenate([observations[:, :1], forward, left, *rest], axis=1)

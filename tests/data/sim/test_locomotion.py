@@ -99,14 +99,45 @@ def test_reset_draws_positions_then_velocities_from_the_env_seed() -> None:
     assert observation[17:].tolist() == [qpos[0], 0.0, 0.7 + qpos[1]]
 
 
-def test_network_inputs_hide_position_and_wrap_headings() -> None:
+def test_network_inputs_hide_position() -> None:
     observation = np.arange(40.0).reshape(2, 20)
     inputs = network_inputs("cheetah", "direction", observation, np.array([1.0, -1.0]))
     assert inputs[0].tolist() == [*range(17), 1.0]
     assert inputs[1, -1] == -1.0
-    ant = network_inputs("ant", "heading", np.zeros((1, 27)), np.array([np.pi]))
-    assert ant.shape == (1, 29)
-    assert ant[0, 27:].tolist() == pytest.approx([-1.0, 0.0])
+
+
+def test_an_ant_is_seen_from_the_side_of_its_goal() -> None:
+    # Upright, yawed by 90 degrees to the left, running north at 2 m/s; the goal is north.
+    observation = np.arange(27.0)[np.newaxis] + 100
+    observation[0, 1:5] = [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
+    observation[0, 13:16] = [0.0, 2.0, 0.25]
+    inputs = network_inputs("ant", "heading", observation, np.array([np.pi / 2]))[0]
+    assert inputs[0] == 100
+    assert inputs[1:4] == pytest.approx([1, 0, 0])  # its nose points at the goal
+    assert inputs[4:7] == pytest.approx([0, 1, 0])
+    assert inputs[7:15].tolist() == [*range(105, 113)]
+    assert inputs[15:18] == pytest.approx([2, 0, 0.25])  # towards the goal, not sideways
+    assert inputs[18:].tolist() == [*range(116, 127)]
+
+
+def test_turning_ant_and_goal_together_changes_no_input() -> None:
+    # A rolled and pitched attitude, whose matrix has no zeros to hide a wrong sign.
+    attitude = np.array([0.7, 0.4, -0.3, 0.5]) / np.linalg.norm([0.7, 0.4, -0.3, 0.5])
+    observation = np.arange(27.0)[np.newaxis]
+    observation[0, 1:5] = attitude
+    turn = 2.0  # rad about z, applied in the world: quaternion (cos 1, 0, 0, sin 1) * attitude
+    w, x, y, z = attitude
+    c, s = np.cos(turn / 2), np.sin(turn / 2)
+    turned = observation.copy()
+    turned[0, 1:5] = [c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w]
+    vx, vy = observation[0, 13:15]
+    turned[0, 13:15] = [
+        np.cos(turn) * vx - np.sin(turn) * vy,
+        np.sin(turn) * vx + np.cos(turn) * vy,
+    ]
+    before = network_inputs("ant", "heading", observation, np.array([0.3]))
+    after = network_inputs("ant", "heading", turned, np.array([0.3 + turn]))
+    assert after == pytest.approx(before)
 
 
 def test_bad_names_and_options_are_refused() -> None:
