@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -76,4 +76,26 @@ class BatchEnv(Protocol):
 
     def step(self, actions: npt.NDArray[np.float32]) -> StepResult:
         """One env step of all rows. `actions` is (B, A) float32: the numbers that are stored."""
+        ...
+
+
+@dataclass(frozen=True)
+class Play:
+    """Whole episodes of ready-made actions; row b is valid up to its first termination.
+
+    Shapes: observations (B, H + 1, D) float64 with the first one of the reset, rewards (B, H)
+    float64, terminations (B, H) bool.
+    """
+
+    observations: FloatArray
+    rewards: FloatArray
+    terminations: BoolArray
+
+
+@runtime_checkable
+class PlaysAhead(Protocol):
+    """A BatchEnv that can run an episode natively when all its actions are known before."""
+
+    def play(self, actions: npt.NDArray[np.float32]) -> Play:
+        """Run actions (B, H, A) from the last reset. The same bytes as H calls of `step`."""
         ...

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from mpdt.data.episode import Episode
-from mpdt.data.sim.batch import BatchEnv, StepResult
-from mpdt.data.sim.policies import Policy
+from mpdt.data.sim.batch import BatchEnv, Play, PlaysAhead, StepResult
+from mpdt.data.sim.policies import OpenLoopPolicy, Policy
 from mpdt.errors import DataError
 from mpdt.seeding import SeedKey
 
@@ -49,6 +50,7 @@ def run_block(
     hidden_columns: Sequence[int] = (),
     width: int | None = None,
     clip: bool = True,
+    goal_keys: Sequence[SeedKey] | None = None,
 ) -> list[Episode]:
     """Run one episode per key and return them in the order of the keys.
 
@@ -65,6 +67,10 @@ def run_block(
             see each other, so padding never needs simulating.
         clip: False for TTA sets, whose file keeps the drawn numbers and whose simulator
             clips inside its own step.
+        goal_keys: what each row's goal is drawn from, where goals are shared by episodes;
+            default: its own key.
+
+    A policy whose actions depend on nothing it sees is run natively where the env can.
 
     Returns: len(keys) episodes of 1 to `horizon` steps.
 
@@ -73,7 +79,7 @@ def run_block(
     assert len(keys) == env.num_rows, "one key per row"
     assert horizon >= 1
     padding = max(0, (width or 0) - len(keys))
-    goals = env.draw_goals(keys)
+    goals = env.draw_goals(goal_keys or keys)
     observations = env.reset(keys, goals)
     policy.begin(
         [*keys, *(keys[-1].at_row(keys[-1].row + 1 + extra) for extra in range(padding))],
@@ -81,22 +87,29 @@ def run_block(
         horizon,
     )
     record = _empty_record(env, horizon)
-    _store_observations(record, 0, observations, hidden_columns)
     low, high = env.low.astype(np.float32), env.high.astype(np.float32)
-    running = np.ones(len(keys), dtype=np.bool_)
-    for step in range(horizon):
-        seen = np.concatenate([observations, np.repeat(observations[:1], padding, axis=0)])
-        actions = policy.act(step, seen)[: len(keys)].astype(np.float32)
-        if clip:
-            actions = np.clip(actions, low, high)
-        result = env.step(actions)
-        _store_step(record, step, actions, result, hidden_columns)
-        record.lengths[running] = step + 1
-        observations = result.observations
-        # Finished rows stay in the batch, so the policy's width never changes.
-        running &= ~result.terminations
-        if not running.any():
-            break
+
+    def stored(actions: npt.NDArray[np.floating[Any]]) -> Float32Array:
+        cast = actions[: len(keys)].astype(np.float32)
+        return np.clip(cast, low, high) if clip else cast
+
+    if isinstance(policy, OpenLoopPolicy) and isinstance(env, PlaysAhead):
+        actions = stored(policy.all_actions())
+        _store_play(record, actions, env.play(actions), hidden_columns)
+    else:
+        _store_observations(record, 0, observations, hidden_columns)
+        running = np.ones(len(keys), dtype=np.bool_)
+        for step in range(horizon):
+            seen = np.concatenate([observations, np.repeat(observations[:1], padding, axis=0)])
+            now = stored(policy.act(step, seen))
+            result = env.step(now)
+            _store_step(record, step, now, result, hidden_columns)
+            record.lengths[running] = step + 1
+            observations = result.observations
+            # Finished rows stay in the batch, so the policy's width never changes.
+            running &= ~result.terminations
+            if not running.any():
+                break
     return [
         _episode(record, row, key, goals[row], policy, horizon, quality, progress)
         for row, key in enumerate(keys)
@@ -113,6 +126,18 @@ def _empty_record(env: BatchEnv, horizon: int) -> _Record:
         successes=None,
         lengths=np.zeros(rows, dtype=np.int64),
     )
+
+
+def _store_play(
+    record: _Record, actions: Float32Array, play: Play, hidden_columns: Sequence[int]
+) -> None:
+    record.observations[:] = play.observations
+    record.observations[:, :, list(hidden_columns)] = 0.0
+    record.actions[:] = actions
+    record.rewards[:] = play.rewards
+    record.terminations[:] = play.terminations
+    ended = play.terminations.any(axis=1)
+    record.lengths[:] = np.where(ended, play.terminations.argmax(axis=1) + 1, actions.shape[1])
 
 
 def _store_observations(

@@ -14,12 +14,15 @@ from gymnasium.utils import seeding
 from mujoco import rollout
 from numpy.typing import NDArray
 
-from mpdt.data.sim.batch import StepResult
+from mpdt.data.sim.batch import Play, StepResult
 from mpdt.data.sim.robots import FRAME_SKIP, RESET_NOISE, ROBOTS, reward_rule
 from mpdt.data.spec.tasks import Family, Task
 from mpdt.seeding import SeedKey
 
 Floats = NDArray[np.float64]
+
+STRETCH = 20
+"""Env steps per native call of `play`: fallen rows are left out of the next stretch."""
 
 
 class LocomotionBatch:
@@ -107,6 +110,50 @@ class LocomotionBatch:
             terminations=self._rule.terminations(after[:, self._qpos], after[:, self._qvel]),
             successes=None,
         )
+
+    def play(self, actions: NDArray[np.float32]) -> Play:
+        """Run whole episodes of actions (B, H, A) float32, open loop, at native speed.
+
+        Starts from the last reset and leaves the rows there. Rows that fell are not simulated
+        to the end: what follows their termination is zero.
+        """
+        rows, horizon = actions.shape[:2]
+        played = Play(
+            observations=np.zeros((rows, horizon + 1, self.observation_size)),
+            rewards=np.zeros((rows, horizon)),
+            terminations=np.zeros((rows, horizon), dtype=bool),
+        )
+        played.observations[:, 0] = self.observations()
+        state, running = self._state, np.arange(rows)
+        for first in range(0, horizon, STRETCH):
+            some = actions[running, first : first + STRETCH]
+            substeps = np.zeros((len(some), some.shape[1] * FRAME_SKIP, state.shape[1]))
+            self._pool.rollout(
+                self._models[: len(running)],
+                self._datas,
+                state,
+                np.repeat(some.astype(np.float64), FRAME_SKIP, axis=1),
+                skip_checks=True,
+                nstep=substeps.shape[1],
+                state=substeps,
+            )
+            substeps = substeps.reshape(*some.shape[:2], FRAME_SKIP, -1)
+            after, torso = substeps[:, :, -1], self._robot.torso(substeps[:, :, -2, self._qpos])
+            qpos, qvel = after[..., self._qpos], after[..., self._qvel]
+            moved = np.diff(after[..., 1:3], axis=1, prepend=state[:, np.newaxis, 1:3])
+            falls = self._rule.terminations(qpos, qvel)
+            steps = slice(first, first + some.shape[1])
+            goals = self._goals[running, np.newaxis]
+            played.observations[running, first + 1 : steps.stop + 1] = self._robot.observe(
+                qpos, qvel, torso
+            )
+            played.rewards[running, steps] = self._rule.rewards(moved / self._step_s, some, goals)
+            played.terminations[running, steps] = falls
+            standing = ~falls.any(axis=1)
+            state, running = after[standing, -1], running[standing]
+            if not len(running):
+                break
+        return played
 
     def observations(self) -> Floats:
         """Current observations (B, D), of rows just reset as well as of rows just stepped."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from importlib import metadata
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,15 @@ class Policy(Protocol):
 
     def act(self, step: int, observations: npt.NDArray[np.floating[Any]]) -> FloatArray:
         """Actions (B, A) for `step` (0-based) from observations (B, D), goal visible."""
+        ...
+
+
+@runtime_checkable
+class OpenLoopPolicy(Policy, Protocol):
+    """A policy whose actions depend on no observation: all are known once it has begun."""
+
+    def all_actions(self) -> FloatArray:
+        """(B, horizon, A): what `act` would answer step by step."""
         ...
 
 
@@ -90,8 +99,11 @@ class UniformPolicy:
         self._actions = uniform_actions(keys, horizon, self.action_size, low, high)
 
     def act(self, step: int, observations: npt.NDArray[np.floating[Any]]) -> FloatArray:
+        return self.all_actions()[:, step]
+
+    def all_actions(self) -> FloatArray:
         assert self._actions is not None, "begin() comes first"
-        return self._actions[:, step]
+        return self._actions
 
 
 class ZeroPolicy:
@@ -111,10 +123,13 @@ class ZeroPolicy:
         )
 
     def begin(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray], horizon: int) -> None:
-        pass
+        self._shape = (len(keys), horizon, self.action_size)
 
     def act(self, step: int, observations: npt.NDArray[np.floating[Any]]) -> FloatArray:
         return np.zeros((len(observations), self.action_size))
+
+    def all_actions(self) -> FloatArray:
+        return np.zeros(self._shape)
 
 
 class ScriptedPolicy:

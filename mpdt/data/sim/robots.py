@@ -103,7 +103,7 @@ class RewardRule:
     terminate: bool
 
     def rewards(self, speed: Floats, actions: NDArray[np.float32], goals: Floats) -> Floats:
-        """Reward per row.
+        """Reward per row, or per row and step where the arguments have a step axis.
 
         speed (B, 2) in m/s along x and y, actions (B, A) float32, goals (B,): +1 or -1, m/s,
         or rad. The control cost uses the float64 value of the float32 action, in every engine.
@@ -112,18 +112,18 @@ class RewardRule:
         """
         cost = self.control_cost * np.square(actions.astype(np.float64)).sum(axis=-1)
         if self.kind == "direction":
-            return np.asarray(goals * speed[:, 0] - cost)
+            return np.asarray(goals * speed[..., 0] - cost)
         if self.kind == "velocity":
-            return np.asarray(-np.abs(speed[:, 0] - goals) - cost)
-        along = speed[:, 0] * np.cos(goals) + speed[:, 1] * np.sin(goals)
+            return np.asarray(-np.abs(speed[..., 0] - goals) - cost)
+        along = speed[..., 0] * np.cos(goals) + speed[..., 1] * np.sin(goals)
         return np.asarray(along - cost + 1.0)
 
     def terminations(self, qpos: Floats, qvel: Floats) -> NDArray[np.bool_]:
         """(B,) bool: the ant fell or its state is not finite. Always False for a cheetah."""
         if not self.terminate:
-            return np.zeros(len(qpos), dtype=bool)
+            return np.zeros(qpos.shape[:-1], dtype=bool)
         finite = np.isfinite(qpos).all(axis=-1) & np.isfinite(qvel).all(axis=-1)
-        return ~(finite & (qpos[:, 2] >= 0.2) & (qpos[:, 2] <= 1.0))
+        return ~(finite & (qpos[..., 2] >= 0.2) & (qpos[..., 2] <= 1.0))
 
 
 def reward_rule(robot: str, kind: str, options: Mapping[str, float | bool]) -> RewardRule:
