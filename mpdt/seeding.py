@@ -43,6 +43,7 @@ class Quality(IntEnum):
     EVALUATION = 8
     CALIBRATION = 9
     PRETRAINING = 10
+    GOALS = 11
 
 
 @dataclass(frozen=True)

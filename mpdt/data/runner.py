@@ -21,6 +21,7 @@ from mpdt.data.sim.ladder import Ladder, load_ladder
 from mpdt.data.sim.policies import Policy, UniformPolicy, ZeroPolicy
 from mpdt.data.sim.simulators import make_batch
 from mpdt.errors import DataError
+from mpdt.seeding import SeedKey
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +76,7 @@ class BlockRunner:
                 hidden_columns=plan.family.hidden_columns,
                 width=plan.width,
                 clip=block.kind != "tta",
+                goal_keys=self._goal_keys(block, some),
             )
         return episodes
 
@@ -82,6 +84,14 @@ class BlockRunner:
         """Hash of who acts in a block, and the progress stored with it."""
         policy, progress = self._policy(block)
         return policy.info.hash, progress
+
+    def _goal_keys(self, block: Block, keys: list[SeedKey]) -> list[SeedKey] | None:
+        goals, rows = self.plan.spec.goals, self.plan.spec.block
+        if goals is None or block.kind == "reference":
+            return None
+        if block.kind == "tta" and self.plan.spec.tta[block.name].tasks != "train":
+            return [goals.held_out_key(key, rows) for key in keys]
+        return [goals.training_key(key, rows) for key in keys]
 
     def _batch(self, block: Block, rows: int) -> BatchEnv:
         wanted = (block.task.index, rows)

@@ -11,11 +11,13 @@ import json
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import msgspec
 
-from mpdt.data.spec.tasks import FAMILIES, Family, Task, get_family
+from mpdt.data.spec.goals import GoalSet
+from mpdt.data.spec.tasks import FAMILIES, Family, Role, Task, get_family
 from mpdt.errors import SpecError, nearest
 
 ENV_OPTIONS: dict[str, frozenset[str]] = {
@@ -65,7 +67,8 @@ class TtaRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         episodes: per task.
         action_scale: range of the drawn actions as a multiple of the bounds.
         preset_return: the return asked for; `auto` = the family's fixed target.
-        tasks: which tasks get such a set; tasks of role `both` always do.
+        tasks: which tasks get such a set; tasks of role `both` always do. With a set of goals,
+            `train` means the training goals and everything else the held-out ones.
         horizon: steps; None = the entry's horizon.
     """
 
@@ -82,6 +85,9 @@ class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     Args:
         version: SemVer of the data, in quotes.
         tasks: `all`, or names and indices of the family's tasks.
+        test: those of them that are test tasks, the others being training tasks; None = the
+            family's own split.
+        goals: numbered goals per task, some held out; None = a goal of its own per episode.
         horizon: steps per episode.
         seed: root seed of every random number.
         block: episodes per unit of work; part of the identity of the data.
@@ -103,6 +109,8 @@ class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     episodes: EpisodeCounts
     license: str
     tasks: Literal["all"] | tuple[str | int, ...] = "all"
+    test: tuple[str | int, ...] | None = None
+    goals: GoalSet | None = None
     tta: dict[str, TtaRule] = {}
     reference: int = 20
     env: dict[str, float | bool] = {}
@@ -113,9 +121,13 @@ class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def resolve_tasks(self) -> tuple[Task, ...]:
         """The tasks in ascending family index; row k of the file's task table is item k."""
         family = get_family(self.family)
-        if self.tasks == "all":
-            return family.tasks
-        chosen = {family.task(task) for task in self.tasks}
+        chosen = set(family.tasks)
+        if self.tasks != "all":
+            chosen = {family.task(task) for task in self.tasks}
+        if self.test is not None:
+            test = {family.task(task) for task in self.test}
+            roles: dict[bool, Role] = {True: "test", False: "train"}
+            chosen = {replace(task, role=roles[task in test]) for task in chosen}
         return tuple(sorted(chosen, key=lambda task: task.index))
 
 
@@ -199,14 +211,31 @@ def _tta_problems(name: str, rule: TtaRule) -> list[Problem]:
 def _family_problems(spec: DatasetSpec, family: Family) -> list[Problem]:
     problems: list[Problem] = []
     names = [task.name for task in family.tasks]
-    if spec.tasks != "all":
-        known: set[str | int] = {*names, *range(len(names))}
-        for task in spec.tasks:
+    known: set[str | int] = {*names, *range(len(names))}
+    for key, tasks in (("tasks", spec.tasks), ("test", spec.test)):
+        if tasks is None or tasks == "all":
+            continue
+        for task in tasks:
             if task not in known:
                 what = f"unknown task '{task}' {nearest(str(task), names)}".rstrip()
-                problems.append(("tasks", what, f"known: {', '.join(names)}"))
-        if not spec.tasks:
-            problems.append(("tasks", "empty", "all, or a list of names or indices"))
+                problems.append((key, what, f"known: {', '.join(names)}"))
+        if not tasks:
+            problems.append((key, "empty", "a list of names or indices, or leave it out"))
+    if not problems and spec.test is not None:
+        inside = set(range(len(names)))
+        if spec.tasks != "all":
+            inside = {family.task(task).index for task in spec.tasks}
+        test = {family.task(task).index for task in spec.test}
+        if not test <= inside:
+            outside = ", ".join(names[index] for index in sorted(test - inside))
+            problems.append(("test", f"not among the tasks: {outside}", "add them to tasks"))
+        if test >= inside:
+            problems.append(("test", "leaves no training task", "name fewer"))
+    if spec.goals is not None:
+        if spec.goals.problem:
+            problems.append(("goals", spec.goals.problem, "0 < held_out < count"))
+        if family.simulator == "locomotion":
+            problems.append(("goals", "a locomotion task is its goal", "leave it out"))
     allowed = ENV_OPTIONS[family.robot]
     for option in sorted(set(spec.env) - allowed):
         what = f"unknown key '{option}' {nearest(option, allowed)}".rstrip()

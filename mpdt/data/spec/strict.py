@@ -46,7 +46,9 @@ def collect(kind: type[Any], value: Any, key: str, problems: list[Problem]) -> d
 
 
 def _field(hint: Any, value: Any, path: str, problems: list[Problem]) -> Any:
-    if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
+    if isinstance(hint, types.UnionType) and isinstance(value, dict):  # `Struct | None`
+        hint = next((kind for kind in typing.get_args(hint) if _is_struct(kind)), hint)
+    if _is_struct(hint):
         return build(hint, value, path, problems)
     if typing.get_origin(hint) is dict:
         if not isinstance(value, dict):
@@ -61,6 +63,10 @@ def _field(hint: Any, value: Any, path: str, problems: list[Problem]) -> Any:
         what = f"expected {_describe(hint)}, found {_show(value)}"
         problems.append((path, what, _trap(hint, value)))
         return None
+
+
+def _is_struct(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, msgspec.Struct)
 
 
 def _show(value: Any) -> str:

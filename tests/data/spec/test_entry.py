@@ -13,6 +13,7 @@ from mpdt.data.spec.entry import (
     smoke,
     spec_hash,
 )
+from mpdt.data.spec.goals import GoalSet
 from mpdt.errors import SpecError
 
 SPEC = DatasetSpec(
@@ -42,8 +43,8 @@ def test_spec_hash_is_of_the_canonical_json():
     text = (
         '{"behaviour":{"network":"cheetah_dir","noise":0.0,"rungs":20,"script":null},"block":3,'
         '"env":{},"episodes":{"expert":0,"history":3,"medium":0,"random":9},'
-        '"family":"cheetah_dir","horizon":5,"license":"CC0-1.0","name":"tiny","reference":20,'
-        '"seed":7,"tasks":"all","tta":{"default":{"action_scale":1.0,"episodes":20,'
+        '"family":"cheetah_dir","goals":null,"horizon":5,"license":"CC0-1.0","name":"tiny","reference":20,'
+        '"seed":7,"tasks":"all","test":null,"tta":{"default":{"action_scale":1.0,"episodes":20,'
         '"horizon":null,"preset_return":"auto","tasks":"test"}},"version":"1.0.0"}'
     )
     assert spec_hash(SPEC) == hashlib.sha256(text.encode()).hexdigest()
@@ -54,6 +55,33 @@ def test_tasks_resolve_in_family_order_without_repeats():
     assert [t.name for t in SPEC.resolve_tasks()] == ["forward", "backward"]
     picked = changed(family="cheetah_vel", tasks=(39, 9, "v0.075", 0, 31, 17, 5, 22, 38))
     assert [t.index for t in picked.resolve_tasks()] == [0, 5, 9, 17, 22, 31, 38, 39]
+
+
+def test_an_entry_may_split_its_tasks_anew():
+    spec = changed(family="ant_dir", tasks=(8, 41, 1, 4), test=(1, "dir-04"))
+    assert [(t.index, t.role) for t in spec.resolve_tasks()] == [
+        (1, "test"),
+        (4, "test"),
+        (8, "train"),
+        (41, "train"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("fields", "what"),
+    [
+        ({"tasks": (1, 2), "test": (3,)}, "test: not among the tasks: v0.300"),
+        ({"tasks": (1, 2), "test": (1, 2)}, "test: leaves no training task"),
+        ({"test": ()}, "test: empty"),
+        ({"test": (99,)}, "test: unknown task '99'"),
+        ({"goals": GoalSet(count=5, held_out=1)}, "goals: a locomotion task is its goal"),
+        ({"family": "mt10", "goals": GoalSet(count=5, held_out=5)}, "goals: 5 of 5 goals"),
+    ],
+)
+def test_wrong_splits_are_refused(fields, what):
+    with pytest.raises(SpecError) as caught:
+        changed(**({"family": "cheetah_vel"} | fields))
+    assert what in str(caught.value)
 
 
 def test_smoke_is_small_and_has_another_identity():
