@@ -27,6 +27,7 @@ from mpdt.data.store.reader import open_dataset
 FAMILIES = ("cheetah_dir", "cheetah_vel", "ant_dir", "ml10", "ml45", "mt10", "mt50")
 PAGE = Path(__file__).parent.parent / "docs" / "datasets.md"
 QUALITIES = ("random", "medium", "expert", "history")
+HEADING = ("dataset", "tasks", "episodes", "steps", "MB", "minutes")
 
 
 def collect(name: str, folder: Path) -> None:
@@ -116,8 +117,7 @@ def write(folder: Path) -> None:
         "stored + test-time adaptation; minutes are wall-clock on two cores "
         f"({', '.join(machines) or 'not measured'}; * = resumed, last attempt only).\n",
         table(
-            ["dataset", "tasks", "episodes", "steps", "MB", "minutes"]
-            + [*QUALITIES, "success r / m / e", "content"],
+            [*HEADING, *QUALITIES, "success r / m / e", "content"],
             [family_row(data, note) for data, note in zip(datas, notes, strict=True)],
         ),
         "\nPer task: reference returns ± standard error (zero action, uniform actions, best "
