@@ -26,6 +26,7 @@ from mpdt.data.plan import Block, Plan, make_plan
 from mpdt.data.runner import BlockReport, BlockRunner, Gap, report_part
 from mpdt.data.sim.engines import default_workers, map_blocks
 from mpdt.data.sim.ladder import load_ladder
+from mpdt.data.sim.references import find_records
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
@@ -90,8 +91,9 @@ def collect(
     """
     if workers is not None and workers < 0:
         raise UsageError("a negative number of workers", found=str(workers))
-    plan, folder = make_plan(spec), PartsFolder(target)
-    policies = load_ladder(spec).policies(plan.tasks)
+    ladder, folder = load_ladder(spec), PartsFolder(target)
+    plan = make_plan(spec, find_records(spec, ladder))
+    policies = ladder.policies(plan.tasks)
     if not restart and (finished := find_finished(plan, target, policies)):
         with suppress(BusyError, StorageError):
             folder.discard()  # of a collector that was killed just before it would have
@@ -158,7 +160,8 @@ def describe_plan(plan: Plan) -> dict[str, Any]:
         "spec_hash": plan.spec_hash,
         "packages": {name: versions[name] for name in PACKAGES if name in versions},
         "machine": {name: machine[name] for name in MACHINE},
-        "blocks": [block.label for block in plan.blocks],
+        # Which references are on record may change between two runs, and changes no part.
+        "blocks": [block.label for block in plan.blocks if block.kind != "reference"],
     }
 
 

@@ -3,20 +3,22 @@
 level = (return - random) / (expert - random)        0 = random, 1 = expert
 required per task: random < medium < expert, and 0.35 <= level(medium) <= 0.65
 
-A level is a mean over some episodes. Outside its band by no more than two of its standard
+random and expert are the references on record (`sim/references.py`); a reference that is not
+there is the mean of this collection's own episodes. A level is a mean over some episodes. Outside its band by no more than two of its standard
 errors, it is a warning; further out, or with the order broken, nothing is written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from mpdt.data.plan import Plan
+from mpdt.data.reference import Reference, References
 from mpdt.data.runner import BlockReport
+from mpdt.data.sim.constants import choose_constant, constant_actions
 from mpdt.errors import DataError
 
 MEDIUM_RANGE = (0.35, 0.65)
@@ -25,26 +27,32 @@ ERRORS = 2  # standard errors outside MEDIUM_RANGE up to which nobody can tell
 
 @dataclass(frozen=True)
 class TaskLevels:
-    """Mean return per quality or reference of one task; NaN where it has no episodes.
+    """What medium returned on one task, and the references that make a level of it.
 
-    `random` and `expert` come from the stored episodes, or from reference episodes of the same
-    policies where that quality is not stored. `medium_error` is the standard error of
-    `medium_level`; infinite where too few episodes tell it.
+    `medium` is unknown where none was collected.
     """
 
     task: str
-    zero: float
-    random: float
-    medium: float
-    expert: float
-    history: float
-    medium_error: float
+    references: References
+    medium: Reference
+
+    @property
+    def random(self) -> Reference:
+        return self.references["random"]
+
+    @property
+    def expert(self) -> Reference:
+        return self.references["expert"]
+
+    @property
+    def medium_error(self) -> float:
+        return level_error(self.random, self.medium, self.expert)
 
     @property
     def medium_level(self) -> float:
         """Normalised return of medium; NaN without all three."""
-        spread = self.expert - self.random
-        return (self.medium - self.random) / spread if spread else float("nan")
+        low, high = self.random.mean, self.expert.mean
+        return (self.medium.mean - low) / (high - low) if high != low else float("nan")
 
     @property
     def outside(self) -> float:
@@ -56,12 +64,12 @@ class TaskLevels:
     def faults(self) -> list[str]:
         """What is wrong with the qualities of this task, one line each."""
         found = []
-        if self.random >= self.expert:
-            found.append(f"expert {self.expert:.1f} is not above random {self.random:.1f}")
-        elif self.medium <= self.random or self.medium >= self.expert:
+        random, medium, expert = self.random.mean, self.medium.mean, self.expert.mean
+        if random >= expert:
+            found.append(f"expert {expert:.1f} is not above random {random:.1f}")
+        elif medium <= random or medium >= expert:
             found.append(
-                f"medium {self.medium:.1f} is not between random {self.random:.1f} "
-                f"and expert {self.expert:.1f}"
+                f"medium {medium:.1f} is not between random {random:.1f} and expert {expert:.1f}"
             )
         elif self.outside > ERRORS * self.medium_error:
             found.append(f"{self._level_text()}, by more than {ERRORS} standard errors")
@@ -76,14 +84,15 @@ class TaskLevels:
     def _level_text(self) -> str:
         low, high = MEDIUM_RANGE
         return (
-            f"medium {self.medium:.1f} has level {self.medium_level:.3f} +- "
-            f"{self.medium_error:.3f} (random {self.random:.1f}, expert {self.expert:.1f}), "
+            f"medium {self.medium.mean:.1f} has level {self.medium_level:.3f} +- "
+            f"{self.medium_error:.3f} (random {self.random.mean:.1f}, "
+            f"expert {self.expert.mean:.1f}), "
             f"outside [{low}, {high}]"
         )
 
 
 def measure_levels(plan: Plan, reports: Iterable[BlockReport]) -> dict[str, TaskLevels]:
-    """Mean returns per task name, in the plan's task order, with the error of the level.
+    """Medium and references per task name, in the plan's task order.
 
     Reports may come in any order: sums of floats depend on theirs, so blocks are put in the
     plan's first and the references in the file do not tell who finished when.
@@ -95,34 +104,60 @@ def measure_levels(plan: Plan, reports: Iterable[BlockReport]) -> dict[str, Task
             key = (report.block.task.name, report.block.name)
             returns.setdefault(key, []).extend(report.returns.tolist())
 
-    def levels(task: str) -> TaskLevels:
-        found = {name: np.array(returns.get((task, name), [])) for name in names}
-        means = {name: float(v.mean()) if len(v) else float("nan") for name, v in found.items()}
-        error = level_error(found["random"], found["medium"], found["expert"])
-        return TaskLevels(task, **means, medium_error=error)
+    def collected(task: str, name: str) -> Reference:
+        return Reference.of(np.array(returns.get((task, name), [])))
 
-    names = ("zero", "random", "medium", "expert", "history")
-    return {task.name: levels(task.name) for task in plan.tasks}
+    found: dict[str, dict[str, Reference]] = {}
+    for task in plan.tasks:
+        own = {name: collected(task.name, name) for name in ("zero", "random", "expert")}
+        known = plan.on_record(task).by_name
+        found[task.name] = {name: known.get(name, reference) for name, reference in own.items()}
+    return {
+        task: TaskLevels(task, references, collected(task, "medium"))
+        for task, references in _with_constant(plan, found).items()
+    }
 
 
-def level_error(
-    random: npt.NDArray[np.float64],
-    medium: npt.NDArray[np.float64],
-    expert: npt.NDArray[np.float64],
-) -> float:
-    """Standard error of the level of medium, from returns (N,) of independent episodes each.
+def _with_constant(
+    plan: Plan, found: Mapping[str, Mapping[str, Reference]]
+) -> dict[str, References]:
+    """The references of every task with the best constant action, where it can be chosen.
+
+    It needs the candidates' returns on record: nobody acts constantly in a collection.
+    """
+    plain = {task: References(by_name) for task, by_name in found.items()}
+    records = {task.name: plan.on_record(task).constants for task in plan.tasks}
+    training = [task.name for task in plan.tasks if task.role in ("train", "both")]
+    if not all(records.values()):
+        return plain
+    number = choose_constant(
+        np.array([[candidate.mean for candidate in records[task]] for task in training]),
+        np.array([found[task]["random"].mean for task in training]),
+        np.array([found[task]["expert"].mean for task in training]),
+    )
+    if number is None:
+        return plain
+    action = tuple(constant_actions(plan.family.action_size)[number].tolist())
+    return {
+        task: References({**by_name, "constant": records[task][number]}, action)
+        for task, by_name in found.items()
+    }
+
+
+def level_error(random: Reference, medium: Reference, expert: Reference) -> float:
+    """Standard error of the level of medium.
 
     To first order, with S = expert - random and var() that of a mean:
     var(level) = (var(medium) + (1 - level)^2 var(random) + level^2 var(expert)) / S^2.
     Infinite with fewer than two episodes of any of them.
     """
-    if min(len(random), len(medium), len(expert)) < 2 or expert.mean() == random.mean():
+    spread = expert.mean - random.mean
+    errors = np.array([medium.error, random.error, expert.error])
+    if not np.isfinite(errors).all() or not spread:
         return float("inf")
-    spread = expert.mean() - random.mean()
-    level = (medium.mean() - random.mean()) / spread
-    weights = ((medium, 1.0), (random, 1 - level), (expert, level))
-    variance = sum(weight**2 * of.var(ddof=1) / len(of) for of, weight in weights)
-    return float(np.sqrt(variance) / abs(spread))
+    level = (medium.mean - random.mean) / spread
+    weights = np.array([1.0, 1 - level, level])
+    return float(np.sqrt(((weights * errors) ** 2).sum()) / abs(spread))
 
 
 def check_levels(plan: Plan, levels: dict[str, TaskLevels], parts: str) -> list[str]:

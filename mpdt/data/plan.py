@@ -1,9 +1,9 @@
-"""Plan: the blocks a dataset is made of, in canonical order. Pure, from the spec alone.
+"""Plan: the blocks a dataset is made of, in canonical order. Pure: from the spec and the record.
 
     spec.episodes  random 120, block 50   ->  blocks 0 1 2 of 50, 50 and 20 rows
     spec.episodes  history, rungs 20      ->  blocks rung * 65536 + 0, 1, ...
     spec.tta       one set of 20          ->  block 0 of 20 rows, quality code 4
-    spec.reference zero action, and random and expert where they are not stored
+    spec.reference zero, random and expert where they are neither on record nor stored
 
 A block is the unit of work, resume and hashing. Its seeds depend on its position only, so
 more tasks, episodes or qualities leave every existing block as it was.
@@ -11,11 +11,13 @@ more tasks, episodes or qualities leave every existing block as it was.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 from mpdt.data.episode import QUALITY_CODES
+from mpdt.data.reference import Reference
+from mpdt.data.sim.references import NOTHING, Record
 from mpdt.data.spec.entry import DatasetSpec, TtaRule, spec_hash
 from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.seeding import HISTORY_STRIDE, Quality, SeedKey
@@ -67,6 +69,11 @@ class Plan:
     family: Family
     tasks: tuple[Task, ...]
     blocks: tuple[Block, ...]  # canonical order: ascending (task, quality, number)
+    records: Mapping[str, Record] = field(default_factory=dict)  # references, by task name
+
+    def on_record(self, task: Task) -> Record:
+        """What is known of a task before any episode of this plan."""
+        return self.records.get(task.name, NOTHING)
 
     @property
     def spec_hash(self) -> str:
@@ -109,8 +116,11 @@ class Plan:
         return self.num_steps / STEPS_PER_S[self.family.simulator] / max(1, workers)
 
 
-def make_plan(spec: DatasetSpec) -> Plan:
+def make_plan(spec: DatasetSpec, records: Mapping[str, Record] | None = None) -> Plan:
     """The blocks of a dataset.
+
+    Args:
+        records: result of `sim.references.find_records`; what is in it is not measured again.
 
     Raises: SpecError if the spec names an unknown family or task.
     """
@@ -121,9 +131,10 @@ def make_plan(spec: DatasetSpec) -> Plan:
             blocks += _episode_blocks(spec, task, name)
         for name, rule in sorted(spec.tta.items()):
             blocks += _tta_blocks(spec, task, name, rule)
-        blocks += _reference_blocks(spec, task)
+        known = (records or {}).get(task.name, NOTHING).by_name
+        blocks += _reference_blocks(spec, task, known)
     blocks.sort(key=lambda block: (block.task.index, block.quality, block.name, block.number))
-    return Plan(spec=spec, family=family, tasks=tasks, blocks=tuple(blocks))
+    return Plan(spec=spec, family=family, tasks=tasks, blocks=tuple(blocks), records=records or {})
 
 
 def spread(count: int, places: int) -> list[int]:
@@ -167,9 +178,11 @@ def _tta_blocks(spec: DatasetSpec, task: Task, name: str, rule: TtaRule) -> Iter
         )
 
 
-def _reference_blocks(spec: DatasetSpec, task: Task) -> Iterator[Block]:
+def _reference_blocks(
+    spec: DatasetSpec, task: Task, known: Mapping[str, Reference]
+) -> Iterator[Block]:
     for name, quality in REFERENCES.items():
-        if name != "zero" and spec.episodes.of(name) > 0:
-            continue  # the stored episodes say it better
+        if name in known or (name != "zero" and spec.episodes.of(name) > 0):
+            continue  # on record, or the stored episodes say it better
         for number, rows in _cut(spec.reference, spec.block):
             yield Block("reference", name, task, quality, number, rows, spec.horizon)

@@ -21,6 +21,7 @@ from mpdt.data import build, levels
 from mpdt.data.build import Progress, collect, find_finished
 from mpdt.data.parts import PartsFolder
 from mpdt.data.plan import make_plan
+from mpdt.data.reference import Reference, References
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.spec.entry import smoke as smoke_of
 from mpdt.data.store.reader import open_dataset, open_tta_rewards
@@ -263,7 +264,8 @@ def test_a_level_within_its_error_is_written_with_a_warning(
 def test_scripts_are_sent_to_calibrate(tiny_spec: DatasetSpec) -> None:
     behaviour = Behaviour(script="metaworld")
     spec = msgspec.structs.replace(tiny_spec, family="ml10", behaviour=behaviour, tasks=("reach",))
-    bad = levels.TaskLevels("reach", 0.0, 10.0, 100.0, 110.0, float("nan"), 0.01)
+    ends = References({"random": Reference(10.0, 0.0), "expert": Reference(110.0, 0.0)})
+    bad = levels.TaskLevels("reach", ends, Reference(100.0, 1.0))
     with pytest.raises(DataError, match=r"level 0\.900 \+- 0\.010") as caught:
         levels.check_levels(make_plan(spec), {"reach": bad}, "x.h5.parts")
     assert caught.value.hint.startswith("mpdt-data calibrate tiny ")

@@ -9,6 +9,7 @@ import pytest
 
 from mpdt.data.levels import TaskLevels, level_error, measure_levels
 from mpdt.data.plan import make_plan
+from mpdt.data.reference import Reference, References
 from mpdt.data.runner import BlockReport
 from mpdt.data.spec.catalog import load_catalog
 
@@ -16,7 +17,9 @@ NAN = float("nan")
 
 
 def levels(random: float, medium: float, expert: float, error: float = 0.0) -> TaskLevels:
-    return TaskLevels("t", 0.0, random, medium, expert, history=NAN, medium_error=error)
+    """`error` is that of the level; with exact references medium carries all of it."""
+    ends = References({"random": Reference(random, 0.0), "expert": Reference(expert, 0.0)})
+    return TaskLevels("t", ends, Reference(medium, error * (expert - random)))
 
 
 def test_level_of_medium() -> None:
@@ -74,13 +77,11 @@ def test_error_of_a_level_by_hand() -> None:
     0.01 * sqrt(3^2 + (0.75 * 2)^2 + (0.25 * 4)^2) = 0.01 * sqrt(12.25) = 0.035
     """
 
-    def two(mean: float, error: float) -> np.ndarray:
-        return np.array([mean - error, mean + error])  # std(ddof=1) / sqrt(2) = error
-
-    random, medium, expert = two(0, 2), two(25, 3), two(100, 4)
+    random, medium, expert = Reference(0, 2), Reference(25, 3), Reference(100, 4)
     assert level_error(random, medium, expert) == pytest.approx(0.035)
-    assert level_error(random, medium, expert[:1]) == math.inf
-    assert level_error(random, np.array([]), expert) == math.inf
+    assert level_error(random, medium, Reference(100, NAN)) == math.inf
+    assert level_error(random, Reference(), expert) == math.inf
+    assert level_error(random, medium, random) == math.inf
 
 
 def test_error_of_a_level_is_that_of_many_draws() -> None:
@@ -88,7 +89,7 @@ def test_error_of_a_level_is_that_of_many_draws() -> None:
     rng = np.random.default_rng(0)
     sets = [[rng.normal(mean, 20.0, 50) for mean in (10.0, 40.0, 110.0)] for _ in range(2000)]
     seen = [levels(*(float(returns.mean()) for returns in one)).medium_level for one in sets]
-    told = np.mean([level_error(*one) for one in sets])
+    told = np.mean([level_error(*map(Reference.of, one)) for one in sets])
     assert told == pytest.approx(np.std(seen), rel=0.06)
 
 

@@ -15,6 +15,7 @@ import pytest
 import torch
 
 from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.reference import Reference, References
 from mpdt.data.slices.stats import compute_stats
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import Additions, Slice, TaskRow
@@ -57,6 +58,13 @@ def make_episode(task: int, quality: int, row: int, scale: float = 1.0) -> Episo
     )
 
 
+def references(zero: float, random: float, expert: float) -> References:
+    """Errors of 0.5 from 16 episodes; the best constant action pushes along axis 1."""
+    known = {"zero": zero, "random": random, "constant": 4.0, "expert": expert}
+    by_name = {name: Reference(mean, 0.5, 16, source="shipped") for name, mean in known.items()}
+    return References(by_name, (0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
+
+
 def write(path: Path, qualities: dict[int, int] = QUALITIES, tta: bool = True) -> Path:
     episodes = [make_episode(task, quality, row) for task in (0, 1)
                 for quality, count in qualities.items() for row in range(count)]  # fmt: skip
@@ -66,8 +74,8 @@ def write(path: Path, qualities: dict[int, int] = QUALITIES, tta: bool = True) -
         spec={"name": "tiny", "horizon": HORIZON, "env": {}},
         observation_size=D, action_size=A, has_success=False,
         tasks=(
-            TaskRow("forward", 0, "both", {}, ref_random=-1.0, ref_zero=0.0, ref_expert=9.0),
-            TaskRow("backward", 1, "both", {}, ref_random=-2.0, ref_zero=0.0, ref_expert=8.0),
+            TaskRow("forward", 0, "both", {}, references(0.0, -1.0, 9.0)),
+            TaskRow("backward", 1, "both", {}, references(0.0, -2.0, 8.0)),
         ),
         policies=tuple(
             PolicyInfo(policy, task, rung, float(rung), -1, 0.0, name)

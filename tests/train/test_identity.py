@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from mpdt.data.reference import YARDSTICKS
 from mpdt.train.config import TrainConfig, to_plain
 from mpdt.train.identity import identify
 from mpdt.train.material import load_material
@@ -22,6 +23,20 @@ def with_set(material, **changes):
 
 def with_tasks(material, **changes):
     return with_dataset(material, tasks=replace(material.dataset.tasks, **changes))
+
+
+def with_reference(material, name):
+    first, *rest = material.dataset.tasks.references
+    bumped = replace(first[name], mean=first[name].mean + 1e-9)
+    changed = replace(first, by_name=first.by_name | {name: bumped})
+    return with_tasks(material, references=(changed, *rest))
+
+
+def with_constant_action(material, action):
+    references = material.dataset.tasks.references
+    return with_tasks(
+        material, references=tuple(replace(each, constant_action=action) for each in references)
+    )
 
 
 def with_stats(material, name):
@@ -112,9 +127,8 @@ def test_every_setting_counts_in_its_part(material, key):
         (lambda m: with_set(m, content_hash="0" * 64), "judging"),
         (lambda m: with_set(m, preset_return=bumped(m.dataset.tta["default"].preset_return)),
          "judging"),
-        (lambda m: with_tasks(m, ref_random=bumped(m.dataset.tasks.ref_random)), "judging"),
-        (lambda m: with_tasks(m, ref_zero=bumped(m.dataset.tasks.ref_zero)), "judging"),
-        (lambda m: with_tasks(m, ref_expert=bumped(m.dataset.tasks.ref_expert)), "judging"),
+        *((lambda m, n=name: with_reference(m, n), "judging") for name in YARDSTICKS),
+        (lambda m: with_constant_action(m, (1.0, *[0.0] * 5)), "judging"),
         (lambda m: replace(m, test_rows=(0,)), "judging"),
         (lambda m: with_spec(m, horizon=7), "judging"),
         (lambda m: with_spec(m, env={"x": True}), "judging"),

@@ -51,9 +51,7 @@ def task_rows(dataset: Dataset) -> list[TaskRow]:
             index=tasks.indices[row],
             role=_ROLES[int(tasks.roles[row])],
             env=tasks.envs[row],
-            ref_random=float(tasks.ref_random[row]),
-            ref_zero=float(tasks.ref_zero[row]),
-            ref_expert=float(tasks.ref_expert[row]),
+            references=tasks.references[row],
         )
         for row in range(len(tasks))
     ]

@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
+from mpdt.data.reference import YARDSTICKS
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.spec.tasks import Role
 from mpdt.errors import FormatError, UsageError
@@ -64,13 +65,25 @@ EPISODES = (
     Column("digest", "<u1", ("E", 32)),
     Column("source", "<i8", ("E",), optional=True),
 )
+# `ref_expert` is the mean return, `ref_expert_error` its standard error, and so on: the fields
+# of a Reference for each of YARDSTICKS. NaN, 0 episodes and empty text = not known.
+REFERENCE_FIELDS = (
+    ("mean", "", "<f8"),
+    ("error", "_error", "<f8"),
+    ("episodes", "_episodes", "<i4"),
+    ("success", "_success", "<f8"),
+    ("source", "_source", "str"),
+)
 TASKS = (
     Column("name", "str", ("K",)),
     Column("env", "str", ("K",)),
     Column("role", "<i1", ("K",)),
-    Column("ref_random", "<f8", ("K",)),
-    Column("ref_zero", "<f8", ("K",)),
-    Column("ref_expert", "<f8", ("K",)),
+    *(
+        Column(f"ref_{name}{suffix}", dtype, ("K",))
+        for name in YARDSTICKS
+        for _, suffix, dtype in REFERENCE_FIELDS
+    ),
+    Column("ref_constant_action", "<f4", ("K", "A")),  # NaN = none chosen
 )
 GOALS = (
     Column("values", "<f8", ("M", "G")),

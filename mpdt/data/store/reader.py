@@ -24,6 +24,7 @@ from mpdt.data.store.digest import content_hash as hash_content
 from mpdt.data.store.digest import content_header
 from mpdt.data.store.integrity import check_tables
 from mpdt.data.store.origin import damaged_hint, missing_hint
+from mpdt.data.store.references import references_of
 from mpdt.errors import (
     FormatError,
     MissingFileError,
@@ -255,9 +256,7 @@ def _read_tasks(group: h5py.Group, family: str) -> tables.Tasks:
         indices=tuple(known.get(name, row) for row, name in enumerate(names)),
         envs=tuple(layout.parse_json(text, f"{group.name}/env") for text in values["env"]),
         roles=values["role"],
-        ref_random=values["ref_random"],
-        ref_zero=values["ref_zero"],
-        ref_expert=values["ref_expert"],
+        references=tuple(references_of(values, row) for row in range(len(names))),
     )
 
 

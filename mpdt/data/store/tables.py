@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.data.reference import References
+
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Int8 = NDArray[np.int8]
@@ -67,20 +69,38 @@ class Tasks:
     `indices` are positions in the family's own list (what `Episode.task` and seed keys hold),
     or the row itself where mpdt does not know the family.
 
-    ref_random, ref_zero, ref_expert (K,) f8: mean returns of trivial policies and the final
-    one; NaN where never measured.
+    `references` holds what the yardsticks return, one entry per row; `ref_<yardstick>` are
+    their means (K,) f8, NaN where never measured.
     """
 
     names: tuple[str, ...]
     indices: tuple[int, ...]
     envs: tuple[dict[str, Any], ...]
     roles: Int8
-    ref_random: Float64
-    ref_zero: Float64
-    ref_expert: Float64
+    references: tuple[References, ...]
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def means(self, yardstick: str) -> Float64:
+        """Mean returns (K,) of one yardstick."""
+        return np.array([references[yardstick].mean for references in self.references])
+
+    @property
+    def ref_zero(self) -> Float64:
+        return self.means("zero")
+
+    @property
+    def ref_random(self) -> Float64:
+        return self.means("random")
+
+    @property
+    def ref_constant(self) -> Float64:
+        return self.means("constant")
+
+    @property
+    def ref_expert(self) -> Float64:
+        return self.means("expert")
 
     @property
     def train_rows(self) -> list[int]:
@@ -194,9 +214,7 @@ class TaskRow:
     index: int
     role: Literal["train", "test", "both"]
     env: Mapping[str, Any]
-    ref_random: float = float("nan")
-    ref_zero: float = float("nan")
-    ref_expert: float = float("nan")
+    references: References = References()
 
 
 @dataclass(frozen=True)
@@ -206,9 +224,9 @@ class Additions:
     Args:
         slices: by name; `parent` is filled in.
         stats: result of `mpdt.data.slices.stats.compute_stats`.
-        references: task name -> (random, zero, expert) mean returns; NaN = keep.
+        references: by task name; tasks that are not named keep the header's.
     """
 
     slices: Mapping[str, Slice] = field(default_factory=dict)
     stats: Stats | None = None
-    references: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    references: Mapping[str, References] = field(default_factory=dict)

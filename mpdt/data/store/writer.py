@@ -24,6 +24,7 @@ from mpdt.data.store import columns, layout, provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash, episode_digest
 from mpdt.data.store.reader import open_dataset, read_file
+from mpdt.data.store.references import reference_cells
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import Additions, Slice, Stats, TaskRow
 from mpdt.data.store.ttaset import fill_tta
@@ -177,8 +178,10 @@ def _write_tasks_and_policies(
         "env": [canonical_json(row.env).decode() for row in rows],
         "role": [layout.ROLE_CODES[row.role] for row in rows],
     }
-    for reference in ("ref_random", "ref_zero", "ref_expert"):
-        values[reference] = [getattr(row, reference) for row in rows]
+    for row, task in enumerate(rows):
+        cells = reference_cells(task.references, header.action_size)
+        for path, value in cells.items():
+            values.setdefault(path, []).append(value)
     columns.write_table(file.create_group("tasks"), layout.TASKS, values)
     policies = header.policies
     hashes = np.frombuffer(b"".join(policy.hash for policy in policies), np.uint8)
@@ -193,11 +196,11 @@ def _write_additions(file: h5py.File, additions: Additions, dataset: Dataset) ->
         write_slice(file, name, chosen, dataset)
     if additions.stats is not None:
         write_stats(file, additions.stats)
-    for task, returns in additions.references.items():
+    for task, references in additions.references.items():
         row = dataset.task_row(task)
-        for name, value in zip(("random", "zero", "expert"), returns, strict=True):
-            if not np.isnan(value):
-                file[f"tasks/ref_{name}"][row] = value
+        cells = reference_cells(references, dataset.action_size)
+        for path, value in cells.items():
+            file[f"tasks/{path}"][row] = value
 
 
 def write_slice(file: h5py.File, name: str, chosen: Slice, dataset: Dataset) -> None:

@@ -53,9 +53,11 @@ class Plans(Options):
         """
         from mpdt.data.plan import make_plan
         from mpdt.data.sim.ladder import load_ladder
+        from mpdt.data.sim.references import find_records
 
         spec = self.chosen_spec()
-        plan, ladder = make_plan(spec), load_ladder(spec)
+        ladder = load_ladder(spec)
+        plan = make_plan(spec, find_records(spec, ladder))
         if ladder.notice:
             self.say(ladder.notice)
         return plan

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.reference import Reference, References
 from mpdt.data.store.reader import Dataset, open_dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import TaskRow
@@ -48,6 +49,16 @@ def make_episode(
     )
 
 
+REFERENCES = References(
+    {
+        "random": Reference(-1.0, 0.25, 16, source="shipped"),
+        "zero": Reference(0.0, 0.0, 16, source="shipped"),
+        "expert": Reference(9.0, 0.5, 64, 0.75, "collected"),
+        "constant": Reference(1.5, 0.125, 32, source="shipped"),
+    },
+    (0.5,),
+)
+
 HEADER = FileHeader(
     family="cheetah_dir",
     name="hand-made",
@@ -59,7 +70,7 @@ HEADER = FileHeader(
     has_success=False,
     tasks=(
         TaskRow("forward", 0, "both", {"entry_point": "x:y", "kwargs": {"task": "forward"}}),
-        TaskRow("backward", 1, "both", {}, ref_random=-1.0, ref_zero=0.0, ref_expert=9.0),
+        TaskRow("backward", 1, "both", {}, REFERENCES),
     ),
     policies=(
         PolicyInfo(UNIFORM, 0, 0, 0.0, -1, 1.0, "uniform"),

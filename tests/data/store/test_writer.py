@@ -8,12 +8,16 @@ import h5py
 import numpy as np
 import pytest
 
+from mpdt.data.reference import Reference, References
 from mpdt.data.store.digest import episode_digest
 from mpdt.data.store.tables import Additions, Slice, Stats
 from mpdt.data.store.writer import EpisodeSource, write_file
 from mpdt.errors import DataError, ShapeError, UsageError
 
 STATS = ("count", "mean", "std", "min", "max", "q01", "q10", "q50", "q90", "q99")
+
+
+KNOWN = References({"random": Reference(1.5, 0.5, 8, 0.25, "local")}, (0.5,))
 
 
 def stats(tasks_seen=(0, 1)) -> Stats:
@@ -68,7 +72,7 @@ def test_header_and_small_tables(made, kit):
     assert made.tasks.envs[0] == {"entry_point": "x:y", "kwargs": {"task": "forward"}}
     assert made.tasks.roles.tolist() == [2, 2]
     assert np.isnan(made.tasks.ref_zero[0])
-    assert made.tasks.ref_expert[1] == 9.0
+    assert made.tasks.references == (References(), kit.header.tasks[1].references)
     assert made.goals.values.tolist() == [[1.0], [-1.0], [0.5]]  # the last one of the TTA set
     assert made.policy_infos() == list(kit.header.policies)
     assert {"mpdt", "python", "numpy", "h5py", "hdf5", "mujoco"} <= set(made.packages)
@@ -132,10 +136,29 @@ def test_no_episodes_at_all(tmp_path, kit):
     assert made.select().tolist() == []
 
 
+def test_a_constant_action_of_another_size_is_refused(tmp_path, kit):
+    header = replace(kit.header, tasks=(replace(kit.header.tasks[0], references=References(
+        {}, (0.5, 0.5))), kit.header.tasks[1]))  # fmt: skip
+    with pytest.raises(ShapeError, match="wrong constant action"):
+        write_file(tmp_path / "a.h5", header, kit.source())
+
+
+def test_reference_columns_by_hand(made):
+    """What is not known is NaN, 0 episodes and no text; `backward` is drawn in conftest.py."""
+    with h5py.File(made.path) as file:
+        tasks = file["tasks"]
+        assert tasks["ref_expert"][1] == 9.0 and tasks["ref_expert_error"][1] == 0.5
+        assert tasks["ref_expert_episodes"][:].tolist() == [0, 64]
+        assert tasks["ref_expert_success"][1] == 0.75 and np.isnan(tasks["ref_zero_success"][1])
+        assert tasks["ref_expert_source"].asstr()[:].tolist() == ["", "collected"]
+        assert tasks["ref_constant_action"][:].tolist()[1] == [0.5]
+        assert np.isnan(tasks["ref_constant_action"][0]).all() and np.isnan(tasks["ref_zero"][0])
+
+
 def test_content_hash_is_of_the_episodes_alone(tmp_path, made, kit):
     other = replace(kit.header, name="b", version="2.0.0", spec={}, packages={"mpdt": "9"})
     finish = lambda dataset: Additions(  # noqa: E731
-        {"train": Slice(np.array([0]), {"rule": "x"})}, stats(), {"forward": (1.0, 2.0, 3.0)}
+        {"train": Slice(np.array([0]), {"rule": "x"})}, stats(), {"forward": KNOWN}
     )
     again = write_file(tmp_path / "b.h5", other, kit.source(), finish=finish)
     assert again.content_hash == made.content_hash
@@ -149,10 +172,9 @@ def test_finish_sees_the_episodes_and_adds(tmp_path, kit):
 
     def finish(dataset):
         seen.append((dataset.path.name, dataset.num_episodes, dataset.steps.rewards.tolist()))
-        nan = float("nan")
         ids = dataset.select(task="forward")
         return Additions({"train": Slice(ids, {"task": "forward"})}, stats(),
-                         {"forward": (1.5, nan, 3.0)})  # fmt: skip
+                         {"forward": KNOWN})  # fmt: skip
 
     made = write_file(tmp_path / "a.h5", kit.header, kit.source(), finish=finish)
     assert seen == [("a.h5.tmp", 4, [1, 1, 2, 1, 2, 3, 1])]
@@ -160,6 +182,7 @@ def test_finish_sees_the_episodes_and_adds(tmp_path, kit):
     assert made.slice_rules["train"] == {"task": "forward"}
     assert made.tasks.ref_random.tolist() == [1.5, -1.0]
     assert np.isnan(made.tasks.ref_zero[0])
+    assert made.tasks.references == (KNOWN, kit.header.tasks[1].references)
     assert made.stats["observations"]["q99"].tolist() == [9, 9]
     assert made.stats["returns"]["mean"].tolist() == [1]
     assert made.stats_info.tasks_seen == (0, 1)

@@ -1,0 +1,213 @@
+"""The record of references: what the yardsticks return per task, as data with its evidence.
+
+Shipped in `weights/references.json`, one line per scene, horizon and simulator options.
+`measure.py` measures, into LOCAL_FILE of the working folder; what is there wins.
+
+    scene    cheetah/velocity/0.225   sawyer/metaworld/reach     no family: what ml10 and mt50
+                                                                  have in common is measured once
+    policy   zero   random   constant+0 .. constant-5   expert:<hash of the policy>
+
+An expert counts only for the very policy that was measured: its hash covers weights and noise,
+or the script. With others, `collect` measures by itself (`spec.reference` episodes).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+
+import msgspec
+
+from mpdt.data.reference import Reference, Source
+from mpdt.data.replacement import check_replaceable, disk, replacing
+from mpdt.data.sim.ladder import Ladder
+from mpdt.data.spec.entry import DatasetSpec, canonical_json
+from mpdt.data.spec.tasks import Family, Task, get_family
+from mpdt.errors import DataError, StorageError
+
+FORMAT = "mpdt-references/1"
+LOCAL_FILE = "references.json"
+
+Place = tuple[str, int, str]
+"""What an entry is for: scene, horizon, canonical JSON of the simulator options."""
+
+
+class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Mean and standard deviation (ddof 1) of the returns of some episodes of one policy.
+
+    `success` is the share of successful episodes, None where the simulator has none.
+    """
+
+    episodes: int
+    mean: float
+    std: float
+    success: float | None = None
+
+    @property
+    def error(self) -> float:
+        """Standard error of the mean."""
+        return self.std / math.sqrt(self.episodes)
+
+    def joined(self, other: Score) -> Score:
+        """Of both sets of episodes. Source: Chan, Golub, LeVeque 1983, equation 1.5."""
+        n, m = self.episodes, other.episodes
+        gap = other.mean - self.mean
+        squares = (n - 1) * self.std**2 + (m - 1) * other.std**2 + gap**2 * n * m / (n + m)
+        success = self.success
+        if success is not None and other.success is not None:
+            success = round((n * success + m * other.success) / (n + m), 9)
+        mean, std = self.mean + gap * m / (n + m), math.sqrt(squares / (n + m - 1))
+        return Score(n + m, round(mean, 6), round(std, 6), success)
+
+    def reference(self, source: Source) -> Reference:
+        return Reference(self.mean, self.error, self.episodes, self.success, source)
+
+
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What is known of one scene at one horizon.
+
+    Args:
+        scores: by policy; see the top of the file.
+        seed: root seed; episode n of a policy has block 0, row n of its REFERENCE quality, in
+            family mt50 for Meta-World and in the scene's own family otherwise.
+        versions: packages the numbers were measured with.
+    """
+
+    scene: str
+    horizon: int
+    env: dict[str, float | bool]
+    scores: dict[str, Score]
+    seed: int
+    versions: dict[str, str]
+
+    @property
+    def place(self) -> Place:
+        return (self.scene, self.horizon, canonical_json(self.env).decode())
+
+
+class _Book(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    format: str
+    rule: str
+    entries: tuple[Entry, ...]
+
+
+@dataclass(frozen=True)
+class Record:
+    """What is on record of one task of a spec.
+
+    Args:
+        by_name: zero, random and expert, as far as they are known.
+        constants: every candidate of `constants.constant_actions`, in its order; empty unless
+            all of them are known.
+    """
+
+    by_name: Mapping[str, Reference] = field(default_factory=dict)
+    constants: tuple[Reference, ...] = ()
+
+
+NOTHING = Record()
+
+
+def scene_of(family: Family, task: Task) -> str:
+    """Robot, reward and goal: what a return depends on beside horizon and options."""
+    goal = "/".join(map(repr, task.goal)) or task.name
+    return f"{family.robot}/{family.reward}/{goal}"
+
+
+def constant_names(action_size: int) -> list[str]:
+    """Names of the candidates of `constants.constant_actions`, in its order."""
+    axes = range(action_size)
+    return ["zero", *(f"constant+{axis}" for axis in axes), *(f"constant-{axis}" for axis in axes)]
+
+
+def expert_name(ladder: Ladder, task: Task) -> str:
+    """Name of a task's expert in a record: changes with its weights, noise or script."""
+    return f"expert:{ladder.policy(task, 'expert', 0)[0].info.hash.hex()}"
+
+
+def find_records(
+    spec: DatasetSpec, ladder: Ladder, folder: Path | None = None
+) -> dict[str, Record]:
+    """By task name, what is on record: shipped, or in `folder`/LOCAL_FILE (default: here).
+
+    Args:
+        ladder: of the spec; its experts must be those that were measured.
+    Raises: DataError for a file that is no record of references; StorageError.
+    """
+    shipped, local = load_shipped(), load_local(folder)
+    family = get_family(spec.family)
+    env = canonical_json(spec.env).decode()
+    records = {}
+    for task in spec.resolve_tasks():
+        place = (scene_of(family, task), spec.horizon, env)
+        found: dict[str, Reference] = {}
+        sources: tuple[tuple[Source, dict[Place, Entry]], ...]
+        sources = (("shipped", shipped), ("local", local))
+        for source, book in sources:
+            if entry := book.get(place):
+                found |= {name: score.reference(source) for name, score in entry.scores.items()}
+        if not found:
+            continue
+        names = {"zero": "zero", "random": "random", "expert": expert_name(ladder, task)}
+        candidates = constant_names(family.action_size)
+        records[task.name] = Record(
+            {name: found[key] for name, key in names.items() if key in found},
+            tuple(found[key] for key in candidates) if set(candidates) <= set(found) else (),
+        )
+    return records
+
+
+def load_shipped() -> dict[Place, Entry]:
+    """The entries mpdt comes with. Raises: as `load_entries`."""
+    return load_entries(Path(str(resources.files("mpdt.data.weights"))) / "references.json")
+
+
+def load_local(folder: Path | None = None) -> dict[Place, Entry]:
+    """The entries of `folder`/LOCAL_FILE. Raises: as `load_entries`."""
+    return load_entries((folder or Path()) / LOCAL_FILE)
+
+
+def load_entries(path: Path) -> dict[Place, Entry]:
+    """The entries of one file; none where there is no such file.
+
+    Raises: DataError for a file that is no record of references; StorageError.
+    """
+    if not os.path.lexists(path):
+        return {}
+    try:
+        book = msgspec.json.decode(path.read_bytes(), type=_Book)
+    except OSError as error:
+        raise StorageError("cannot be read", where=str(path), found=str(error)) from error
+    except msgspec.DecodeError as error:
+        raise DataError("not a record of references", where=str(path), found=str(error),
+                        hint="delete it, or choose another file with -o") from error  # fmt: skip
+    if book.format != FORMAT:
+        raise DataError("another format of references", where=str(path), expected=FORMAT,
+                        found=book.format)  # fmt: skip
+    return {entry.place: entry for entry in book.entries}
+
+
+def check_target(path: Path) -> None:
+    """Whether `save_entries` could write to `path` now: asked before hours of measuring.
+
+    Raises: as `load_entries`; StorageError.
+    """
+    check_replaceable(path)
+    load_entries(path)
+
+
+def save_entries(path: Path, entries: Iterable[Entry], rule: str) -> None:
+    """Write entries sorted by place, one per line; `rule` tells how they were measured. Atomic.
+
+    Raises: StorageError where the disk refuses.
+    """
+    ordered = sorted(entries, key=lambda entry: entry.place)
+    lines = ",\n".join(canonical_json(entry).decode() for entry in ordered)
+    head = f'{{"format":{json.dumps(FORMAT)},\n"rule":{json.dumps(rule)},\n"entries":[\n'
+    with replacing(path) as temporary, disk(path):
+        temporary.write_text(f"{head}{lines}\n]}}\n")
