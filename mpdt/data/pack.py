@@ -37,7 +37,7 @@ def pack(
     Args:
         reports: one per block, in any order.
         policies: every policy an episode may name.
-        levels: their random, zero and expert returns become the references.
+        levels: their references go into the task table.
 
     Raises: StorageError where the disk refuses, DataError for a part that was damaged
         meanwhile; the target is untouched in both cases.
@@ -59,7 +59,7 @@ def pack(
                 episodes(blocks), *counts(blocks), _preset_returns(plan, name), _rule(plan, name)
             )
     source = EpisodeSource(episodes(stored), *counts(stored))
-    references = {task: (level.random, level.zero, level.expert) for task, level in levels.items()}
+    references = {task: level.references for task, level in levels.items()}
     return write_file(
         folder.target,
         _header(plan, policies),
