@@ -174,19 +174,28 @@ class PromptPolicy(nn.Module):
         self, batch: PolicyBatch, returns: ReturnTable | None, generator: torch.Generator | None
     ) -> tuple[Tensor, Tensor]:
         """Tokens (n, M, K q, s) and their mask (n, M, K q), q tokens per step."""
-        settings = self.inputs.settings
-        seen = None
-        if returns is not None and settings.return_to_go != "none":
-            seen = returns.normalise(batch.returns_to_go, settings.return_clip)
-        tokens = self.inputs(
-            batch.observations, batch.previous_actions, seen, batch.timesteps, batch.mask,
-            batch.actions, generator,
-        )  # fmt: skip
-        return tokens, repeat(batch.mask, "n M K -> n M (K q)", q=settings.tokens_per_step)
+        return embed(self.inputs, batch, returns, generator)
 
     def _predicting(self, x: Tensor) -> Tensor:
         """The tokens that predict an action: all, or the middle one of three."""
         return x if self.inputs.settings.tokens_per_step == 1 else x[:, :, 1::3]
+
+
+def embed(
+    inputs: InputMap,
+    batch: PolicyBatch,
+    returns: ReturnTable | None = None,
+    generator: torch.Generator | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Tokens (n, M, K q, s) of a batch and their mask (n, M, K q), q tokens per step."""
+    settings, seen = inputs.settings, None
+    if returns is not None and settings.return_to_go != "none":
+        seen = returns.normalise(batch.returns_to_go, settings.return_clip)
+    tokens = inputs(
+        batch.observations, batch.previous_actions, seen, batch.timesteps, batch.mask,
+        batch.actions, generator,
+    )  # fmt: skip
+    return tokens, repeat(batch.mask, "n M K -> n M (K q)", q=settings.tokens_per_step)
 
 
 def _build_head(settings: HeadSettings, width: int, action_size: int, seed: int) -> nn.Sequential:

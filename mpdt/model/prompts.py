@@ -9,8 +9,8 @@ Source: Zheng et al. 2024 (MPDT), after Wang et al. 2023 (multitask prompt tunin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal
+import copy
+from typing import Literal, Protocol
 
 import msgspec
 import torch
@@ -19,12 +19,38 @@ from torch import Tensor, nn
 from mpdt.errors import ShapeError, SpecError
 from mpdt.model.limits import check_above_zero, check_at_least
 
-Start = Literal["cross", "cross_mean", "cross_random", "cross_one", "none"]
+Start = Literal[
+    "cross", "cross_mean", "cross_random", "cross_one", "none", "infer", "infer_aligned"
+]
+UNTUNED: tuple[Start, ...] = ("none", "infer")
+WEIGHTED: tuple[Start, ...] = ("cross_one", "infer", "infer_aligned")
+
+
+class TrainedPrompts(Protocol):
+    """What training leaves for a task: P*_k = cross o P_k, whatever the two are made of."""
+
+    @property
+    def cross(self) -> Tensor:
+        """(l, s): what may be tuned for an unseen task."""
+        ...
+
+    def task_parts(self, rows: Tensor | None = None) -> Tensor:
+        """P_k (n, l, s), or (n, 1, 1) of ones where there is nothing of a task's own."""
+        ...
+
+    def task_prompts(self, rows: Tensor | None = None, step: int | None = None) -> Tensor:
+        """Prompts (n, l, s) of the tasks `rows` (n,), or of all.
+
+        `step` is the update, for prompts that are drawn anew for each (demonstrations).
+        """
+        ...
 
 
 class PromptSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Size and start of the soft prompts."""
+    """Kind, size and start of what stands before the tokens."""
 
+    kind: Literal["decomposed", "shared", "demonstration", "none"] = "decomposed"
+    """P_c o P_k; one soft prompt for all tasks; steps of an episode (Prompt-DT); nothing."""
     length: int = 30
     rank: int = 1
     init_std: float | Literal["embedding"] = "embedding"
@@ -79,16 +105,13 @@ class DecomposedPrompts(nn.Module):
         v, u = self.task_v, self.task_u
         return v @ u if rows is None else v[rows] @ u[rows]
 
-    def task_prompts(self, rows: Tensor | None = None) -> Tensor:
+    def task_prompts(self, rows: Tensor | None = None, step: int | None = None) -> Tensor:
         """P*_k = P_c o P_k (n, l, s) of the tasks `rows` (n,), or of all."""
         return self.cross * self.task_parts(rows)
 
 
 class TeacherPrompts(nn.Module):
-    """A full soft prompt per task: `prompts` (N, l, s), N(0, 1) times the chosen spread.
-
-    With one task it is the universal prompt of the Soft-Prompt baseline.
-    """
+    """A full soft prompt per task: `prompts` (N, l, s), N(0, 1) times the chosen spread."""
 
     prompts: nn.Parameter
 
@@ -101,9 +124,37 @@ class TeacherPrompts(nn.Module):
         start = torch.randn((num_tasks, settings.length, width), generator=generator)
         self.prompts = nn.Parameter(float(std) * start)
 
-    def task_prompts(self, rows: Tensor | None = None) -> Tensor:
+    def task_prompts(self, rows: Tensor | None = None, step: int | None = None) -> Tensor:
         """Prompts (n, l, s) of the tasks `rows` (n,), or of all; rows may repeat."""
         return self.prompts if rows is None else self.prompts[rows]
+
+
+class SharedPrompt(nn.Module):
+    """One soft prompt for all N tasks, `cross` (l, s): the Soft-Prompt baseline.
+
+    Of length 0 it is no prompt at all, which is what MT-BC and MT-ORL have.
+    """
+
+    cross: nn.Parameter
+
+    def __init__(
+        self, settings: PromptSettings, num_tasks: int, width: int, spread: float, seed: int = 0
+    ) -> None:
+        super().__init__()
+        length = 0 if settings.kind == "none" else settings.length
+        std = spread if settings.init_std == "embedding" else settings.init_std
+        generator = torch.Generator().manual_seed(seed)
+        start = float(std) * torch.randn((length, width), generator=generator)
+        self.cross = nn.Parameter(start, requires_grad=length > 0)
+        self._num_tasks = num_tasks
+
+    def task_parts(self, rows: Tensor | None = None) -> Tensor:
+        """Ones (n, 1, 1): no task has a part of its own."""
+        return torch.ones(self._num_tasks if rows is None else len(rows), 1, 1)
+
+    def task_prompts(self, rows: Tensor | None = None, step: int | None = None) -> Tensor:
+        """The same prompt n times (n, l, s)."""
+        return self.cross * self.task_parts(rows)
 
 
 class AdaptedPrompts(nn.Module):
@@ -113,58 +164,73 @@ class AdaptedPrompts(nn.Module):
     treats each as if it were alone.
 
     Attributes:
-        cross: (n, l, s) the tuned copies of P_c, or fixed for `cross_random` and `none`.
+        cross: (n, l, s) the copies of P_c; tuned unless the start says otherwise.
     """
 
     fixed: Tensor
 
     def __init__(
-        self, trained: DecomposedPrompts, start: Start, num_tasks: int,
-        donors: Sequence[int] | None = None, seed: int = 0,
+        self, trained: TrainedPrompts, start: Start, num_tasks: int,
+        weights: Tensor | None = None, seed: int = 0,
     ) -> None:  # fmt: skip
         """Start from trained prompts, which are copied and never changed.
 
-            start           prompt                 tuned
-            cross           P_c                    P_c     (the paper's)
-            cross_mean      P_c o mean_k P_k       P_c
-            cross_one       P_c o P_j, j a donor   P_c
-            cross_random    P_c o v u, random      v, u
-            none            P_c o mean_k P_k       nothing
+            start           prompt                       tuned
+            cross           P_c                          P_c     (the paper's)
+            cross_mean      P_c o mean_k P_k             P_c
+            cross_one       P_c o P_j, j a donor         P_c
+            cross_random    P_c o v u, random            v, u
+            none            P_c o mean_k P_k             nothing
+            infer           P_c o sum_k w_k P_k          nothing
+            infer_aligned   P_c o sum_k w_k P_k          P_c
 
         Args:
-            donors: rows of training tasks, one per unseen task; only for `cross_one`.
+            weights: (n, N) w, one row per unseen task; for `cross_one` (a 1 at the donor) and
+                the two of `infer`, and for no other.
             seed: for `cross_random`.
         """
         super().__init__()
-        if (donors is not None) != (start == "cross_one"):
+        if (weights is not None) != (start in WEIGHTED):
             raise SpecError(
-                "donor tasks go with the start cross_one, and with no other",
+                "weights of training tasks go with some starts, and with no other",
                 where=f"start {start}",
-                expected="donors" if start == "cross_one" else "no donors",
-                found=str(donors),
-            )
-        if donors is not None and len(donors) != num_tasks:
-            raise ShapeError(
-                "one donor per unseen task", expected=str(num_tasks), found=str(len(donors))
+                expected=f"weights only for {', '.join(WEIGHTED)}",
+                found="none" if weights is None else str(tuple(weights.shape)),
             )
         self.start = start
         cross = trained.cross.detach().repeat(num_tasks, 1, 1)
-        self.cross = nn.Parameter(cross, requires_grad=start not in ("cross_random", "none"))
+        tunes_cross = start not in (*UNTUNED, "cross_random")
+        self.cross = nn.Parameter(cross, requires_grad=tunes_cross)
         parts = trained.task_parts().detach()
         if start == "cross_random":
             generator = torch.Generator().manual_seed(seed)
-            shapes = (trained.task_v.shape[1:], trained.task_u.shape[1:])
-            v, u = (torch.randn((num_tasks, *shape), generator=generator) for shape in shapes)
+            length, width = trained.cross.shape
+            rank = getattr(trained, "task_v", parts).shape[-1]
+            v = torch.randn((num_tasks, length, rank), generator=generator)
+            u = torch.randn((num_tasks, rank, width), generator=generator)
             self.task_v, self.task_u = nn.Parameter(v), nn.Parameter(u)
         elif start == "cross":
             self.register_buffer("fixed", torch.ones(num_tasks, 1, 1))
-        elif donors is not None:
-            self.register_buffer("fixed", parts[list(donors)])
         else:
-            self.register_buffer("fixed", parts.mean(dim=0).repeat(num_tasks, 1, 1))
+            if weights is None:
+                weights = torch.full((num_tasks, len(parts)), 1 / len(parts))
+            if weights.shape != (num_tasks, len(parts)):
+                raise ShapeError(
+                    "one row of weights per unseen task",
+                    expected=str((num_tasks, len(parts))),
+                    found=str(tuple(weights.shape)),
+                )
+            self.register_buffer("fixed", torch.einsum("nk,kls->nls", weights, parts))
 
-    def task_prompts(self, rows: Tensor | None = None) -> Tensor:
+    def task_prompts(self, rows: Tensor | None = None, step: int | None = None) -> Tensor:
         """Prompts (n, l, s) of the tasks `rows` (n,), or of all."""
         part = self.task_v @ self.task_u if self.start == "cross_random" else self.fixed
         prompts: Tensor = self.cross * part
         return prompts if rows is None else prompts[rows]
+
+    def select(self, rows: Tensor) -> AdaptedPrompts:
+        """A copy with the tasks `rows` (n,) alone."""
+        own = copy.deepcopy(self)
+        for tensor in (*own.parameters(), *own.buffers()):
+            tensor.data = tensor.data[rows].clone()
+        return own

@@ -1,5 +1,8 @@
 """Zero-shot adaptation on X: tune a prompt until the features look like those of training.
 
+The published protocol. Ours, which reads X's rewards as well, is in `infer.py`; the two meet
+only where a start asks for `infer`.
+
     X          random-action episodes of the unseen task, a preset return, no labels
     loss       L1 between per-layer mean and variance of X's features and the source's
     tuned      P_c alone (`cross_random`: v and u), its own copy for every test task
@@ -35,19 +38,23 @@ from mpdt.data.store.reader import Dataset, open_tta_rewards
 from mpdt.data.store.tables import TtaSet
 from mpdt.errors import DataError, UsageError, unknown_name
 from mpdt.model.policy import PromptPolicy
-from mpdt.model.prompts import AdaptedPrompts, DecomposedPrompts, Start
+from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start, TrainedPrompts
 from mpdt.model.returns import ReturnTable
+from mpdt.train.infer import InferSettings
 from mpdt.train.multitask import as_batch
 from mpdt.train.statistics import LayerStatistics, moments
 
 NOT_ADAPTED: Start = "none"
+INFERRED: tuple[Start, ...] = ("infer", "infer_aligned")
 
 
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Test-time adaptation. Choose these on held-out training tasks, never on test returns."""
 
     starts: tuple[Start, ...] = ("cross",)
-    """Starts to adapt from and report; P_c o mean P_k without adaptation is always reported."""
+    """Starts to adapt from and report; P_c o mean P_k without adaptation is always reported.
+    `infer` and `infer_aligned` read the rewards of X."""
+    infer: InferSettings = InferSettings()
     set: str = "default"
     """Name of the TTA set."""
     episodes: int = 0
@@ -78,6 +85,16 @@ class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     def needs_set(self) -> bool:
         return any(start != NOT_ADAPTED for start in self.starts)
 
+    @property
+    def aligns(self) -> bool:
+        """Whether any start is tuned, and so compared with layer statistics."""
+        return any(start not in UNTUNED for start in self.starts)
+
+    @property
+    def infers(self) -> bool:
+        """Whether any start reads the rewards of X to find out the task."""
+        return any(start in INFERRED for start in self.starts)
+
 
 @dataclass(frozen=True)
 class _Source:
@@ -88,6 +105,8 @@ class _Source:
 class AdaptationSet:
     """X of several test tasks, cut into windows that hold every step once.
 
+    Attributes:
+        source, ids: the set, and the episodes of each task in it; no rewards among them.
     Raises: UsageError for an unknown set, DataError for a task without episodes in it.
     """
 
@@ -106,15 +125,15 @@ class AdaptationSet:
         self._set = find_tta_set(dataset, rows, settings)
         self._rows = np.asarray(rows, np.int64)
         # A TtaSet holds step arrays and episode columns side by side.
-        self._source = _Source(self._set, self._set)
+        self.source = _Source(self._set, self._set)
         preset = self._set.preset_return
-        ids = [self._set.of_task(row, settings.episodes or None) for row in rows]
-        self._covers = [cover(self._set.length, of_task, window) for of_task in ids]
-        self.presets = [float(preset[of_task[0]]) for of_task in ids]
-        self.num_steps = int(self._set.length[np.concatenate(ids)].sum())
+        self.ids = [self._set.of_task(row, settings.episodes or None) for row in rows]
+        self._covers = [cover(self._set.length, of_task, window) for of_task in self.ids]
+        self.presets = [float(preset[of_task[0]]) for of_task in self.ids]
+        self.num_steps = int(self._set.length[np.concatenate(self.ids)].sum())
         if settings.returns == "decrement":
             rewards, _ = open_tta_rewards(dataset.path, settings.set)
-            self._returns = decreasing_returns(self._source, preset, rewards)
+            self._returns = decreasing_returns(self.source, preset, rewards)
         else:
             self._returns = constant_returns(preset)
 
@@ -128,7 +147,7 @@ class AdaptationSet:
         ]
         covers = list(zip(self._covers, picks, strict=True))
         batch = gather_windows(
-            self._source,
+            self.source,
             np.stack([ids[pick] for (ids, _), pick in covers]),
             np.stack([starts[pick] for (_, starts), pick in covers]),
             self._window, self._returns, tasks=self._rows,
@@ -185,35 +204,40 @@ def alignment_loss(
 
 def adapt(
     policy: PromptPolicy,
-    trained: DecomposedPrompts,
+    trained: TrainedPrompts,
     start: Start,
     unseen: AdaptationSet,
     returns: ReturnTable,
-    source: LayerStatistics,
+    source: LayerStatistics | None,
     settings: AdaptSettings,
     axes: Literal["channel", "position"],
     seed: int,
     on_step: Callable[[int, list[float]], None] | None = None,
+    weights: Tensor | None = None,
 ) -> Tensor:
     """Prompts (n, l, s) of the test tasks, adapted from `start`; `trained` is not changed.
 
     Args:
         returns: n rows, as `unseen_returns` gives them.
+        source: None only for starts that tune nothing.
         on_step: called with (step, loss of each task) before each step's update.
+        weights: (n, N) of the training tasks, for `infer` and `infer_aligned`.
     """
     num_layers = policy.backbone.num_layers
     if any(not 0 <= layer < num_layers for layer in settings.layers):
         raise UsageError("no such layer", where="adapt.layers", expected=f"0 to {num_layers - 1}",
                          found=str(settings.layers))  # fmt: skip
     n = len(returns)
-    donors = None
     if start == "cross_one":
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, n])))
-        donors = generator.integers(len(trained.task_v), size=n).tolist()
-    prompts = AdaptedPrompts(trained, start, n, donors, seed)
+        num_tasks = len(trained.task_parts())
+        donors = torch.from_numpy(generator.integers(num_tasks, size=n))
+        weights = torch.nn.functional.one_hot(donors, num_tasks).to(torch.float32)
+    prompts = AdaptedPrompts(trained, start, n, weights, seed)
     tuned = [parameter for parameter in prompts.parameters() if parameter.requires_grad]
     if not tuned:
         return prompts.task_prompts().detach()
+    assert source is not None
     optimizer = torch.optim.AdamW(tuned, lr=settings.lr, weight_decay=0.0)
     for step in range(settings.steps):
         batch = as_batch(unseen.batch(step))

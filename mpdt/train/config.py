@@ -19,6 +19,7 @@ from mpdt.model.prompts import PromptSettings
 from mpdt.model.tokens import InputSettings
 from mpdt.train.adapt import AdaptSettings
 from mpdt.train.evaluate import EvaluationSettings
+from mpdt.train.labelled import FewShotSettings
 from mpdt.train.multitask import MultitaskSettings, OptimiserSettings
 from mpdt.train.statistics import StatisticsSettings
 from mpdt.train.teacher import TeacherSettings
@@ -27,6 +28,8 @@ from mpdt.train.teacher import TeacherSettings
 class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Every setting of a run. Equal configs on equal data on one machine give equal bytes."""
 
+    method: str = "MPDT"
+    """Name in the tables; `--method` sets it together with what makes the method."""
     seed: int = 0
     """Root of all random numbers of training and adaptation."""
     quality: str = "auto"
@@ -48,6 +51,7 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     multitask: MultitaskSettings = MultitaskSettings()
     statistics: StatisticsSettings = StatisticsSettings()
     adapt: AdaptSettings = AdaptSettings()
+    few_shot: FewShotSettings = FewShotSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
 
     def __post_init__(self) -> None:

@@ -13,6 +13,7 @@ from mpdt.model.closed_loop import ClosedLoop
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import SeedKey
+from mpdt.train.evaluate import Controller
 
 
 class PromptController:
@@ -52,3 +53,30 @@ class PromptController:
 
     def paid(self, rewards: NDArray[np.float32]) -> None:
         self._paid = rewards
+
+
+class PerTaskController:
+    """A controller of its own for every task; each knows one task, its number 0."""
+
+    def __init__(self, controllers: Sequence[Controller]) -> None:
+        self._controllers = controllers
+        self._rows: list[tuple[Controller, NDArray[np.int64]]] = []
+
+    def begin(self, tasks: NDArray[np.int64], keys: Sequence[SeedKey]) -> None:
+        self._rows = []
+        for task in np.unique(tasks):
+            rows = np.flatnonzero(tasks == task)
+            own = self._controllers[task]
+            own.begin(np.zeros(len(rows), np.int64), [keys[row] for row in rows.tolist()])
+            self._rows.append((own, rows))
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        parts = [own.act(observations[rows]) for own, rows in self._rows]
+        actions = np.empty((len(observations), parts[0].shape[1]), np.float32)
+        for (_, rows), part in zip(self._rows, parts, strict=True):
+            actions[rows] = part
+        return actions
+
+    def paid(self, rewards: NDArray[np.float32]) -> None:
+        for own, rows in self._rows:
+            own.paid(rewards[rows])

@@ -29,7 +29,7 @@ from mpdt.train.config import differences
 from mpdt.train.identity import Identity
 from mpdt.train.results import MetricsLog, write_atomic
 
-FORMAT = "mpdt-run/2"
+FORMAT = "mpdt-run/3"
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """What makes two runs the same: everything they read, in two parts.
 
     training   settings of training     + episodes, their ids, statistics of the observations
-    judging    adapt, statistics,       + TTA set, presets, references, simulator options
-               evaluation
+    judging    name, adapt, few_shot,   + TTA set, presets, references, simulator options
+               statistics, evaluation
 
 Weights are bound to the training part alone, so another judging part judges them anew. A
 setting belongs to training unless it is named here, which at worst trains once too often.
@@ -23,7 +23,7 @@ from mpdt.train.adapt import find_tta_set
 from mpdt.train.config import TrainConfig, from_plain, to_plain
 from mpdt.train.material import Material
 
-JUDGING = ("adapt", "statistics", "evaluation")
+JUDGING = ("method", "adapt", "few_shot", "statistics", "evaluation")
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 """After training: adapt to the test tasks, run everybody in the simulator, fill the table.
 
-training tasks   zero, random, best constant, expert | MPDT with each task's own P*_k
-test tasks       zero, random, best constant, expert | MPDT per adaptation start,
-                                                       and P_c o mean P_k without adaptation
+training tasks   zero, random, best constant, expert | the method, each task behind its own prompt
+test tasks       zero, random, best constant, expert | every candidate of `unseen.py`
 
 All but the expert are run here, on the same seeds. The expert is the stored one: its mean and
 its episodes in the file, where the horizon is the same.
@@ -18,12 +17,7 @@ import msgspec
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from mpdt.model.prompts import AdaptedPrompts, Start
-from mpdt.model.returns import ReturnTable
-from mpdt.train.adapt import NOT_ADAPTED, AdaptationSet, adapt, unseen_returns
-from mpdt.train.controller import PromptController
 from mpdt.train.evaluate import (
     ConstantController,
     Controller,
@@ -46,10 +40,8 @@ from mpdt.train.results import (
     scores_of,
     with_verdicts,
 )
-from mpdt.train.run import Trained, Trainer, phase_seed
-from mpdt.train.statistics import LayerStatistics, source_statistics
-
-METHOD = "MPDT"
+from mpdt.train.run import Trained, Trainer
+from mpdt.train.unseen import UnseenTasks
 
 
 @dataclass
@@ -64,9 +56,12 @@ class Judge:
         """All rows of the final table. Raises: Stopped after a signal."""
         material, config = self.trainer.material, self.trainer.config
         constant = self._best_constant() if config.evaluation.constants else None
-        own = self._controller(self.trained.prompts.task_prompts(), self.trained.returns)
+        unseen = UnseenTasks(self.trainer, self.trained)
+        with torch.no_grad():
+            prompts = self.trained.prompts.task_prompts()
+        own = unseen.controller(prompts, self.trained.returns)
         references = self._references("train", material.train_rows, constant)
-        scores = references + self._score("train", METHOD, material.train_rows, own)
+        scores = references + self._score("train", config.method, material.train_rows, own)
         if not material.test_rows:
             return with_verdicts(scores)
         if material.test_rows == material.train_rows:
@@ -74,69 +69,12 @@ class Judge:
             scores += [msgspec.structs.replace(score, block="test") for score in references]
         else:
             scores += self._references("test", material.test_rows, constant)
-        unread: Reads = "nothing"
-        for start, prompts, returns in self._adapted():
-            label, reads = f"{METHOD} P_c o mean P_k, not adapted", unread
-            if start != NOT_ADAPTED:
-                label = f"{METHOD} from {start}, adapted"
-                reads = "rewards" if config.adapt.returns == "decrement" else "steps"
-            controller = self._controller(prompts, returns)
-            scores += self._score("test", label, material.test_rows, controller, reads)
+        for candidate in unseen.candidates():
+            label = f"{config.method} {candidate.label}"
+            scores += self._score(
+                "test", label, material.test_rows, candidate.controller, candidate.reads
+            )
         return with_verdicts(scores)
-
-    def _adapted(self) -> list[tuple[Start, Tensor, ReturnTable]]:
-        """(start, prompts (n, l, s), targets) for every start asked for, then unadapted."""
-        trainer, trained = self.trainer, self.trained
-        settings, family = trainer.config.adapt, trainer.material.family
-        rows = trainer.material.test_rows
-        done: list[tuple[Start, Tensor, ReturnTable]] = []
-        plain = AdaptedPrompts(trained.prompts, NOT_ADAPTED, len(rows))
-        returns = unseen_returns(trained.returns, settings, [family.return_target] * len(rows))
-        if settings.needs_set:
-            seed = phase_seed(trainer.config.seed, "adapt")
-            unseen = AdaptationSet(
-                trainer.material.dataset, rows, settings, trainer.config.sampler.window, seed,
-                family.action_low, family.action_high,
-            )  # fmt: skip
-            returns = unseen_returns(trained.returns, settings, unseen.presets)
-            source = self._statistics()
-            for start in dict.fromkeys(settings.starts):
-                if start == NOT_ADAPTED:
-                    continue
-
-                def on_step(step: int, losses: list[float], start: Start = start) -> None:
-                    trainer.stop.check()
-                    trainer.folder.log.append(
-                        {"phase": "adapt", "start": start, "step": step, "losses": losses}
-                    )
-                    trainer.progress.update(
-                        f"adapt {start}", step + 1, settings.steps,
-                        f"alignment {sum(losses) / len(losses):.4f}",
-                    )  # fmt: skip
-
-                prompts = adapt(
-                    trained.policy, trained.prompts, start, unseen, returns, source, settings,
-                    trainer.config.statistics.axes, seed, on_step,
-                )  # fmt: skip
-                done.append((start, prompts, returns))
-        return [*done, (NOT_ADAPTED, plain.task_prompts().detach(), returns)]
-
-    def _statistics(self) -> LayerStatistics:
-        settings = self.trainer.config.statistics
-        ids = self.trainer.material.random_ids() if settings.source == "random" else None
-        sampler = self.trainer.sampler("statistics", ids)
-        # X is covered evenly; a training sampler may show the beginning of episodes more often.
-        sampler.start_bias = 0
-        return source_statistics(
-            self.trained.policy, self.trained.prompts, sampler, self.trained.returns, settings
-        )
-
-    def _controller(self, prompts: Tensor, returns: ReturnTable) -> PromptController:
-        family = self.trainer.material.family
-        return PromptController(
-            self.trained.policy, prompts, returns, self.trainer.config.sampler.window,
-            family.action_low, family.action_high,
-        )  # fmt: skip
 
     def _evaluate(
         self, label: str, rows: Sequence[int], controller: Controller, episodes: int, seed: int

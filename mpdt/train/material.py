@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from mpdt.data.episode import QUALITY_CODES
+from mpdt.data.slices.windows import WindowBatch, gather_windows, reward_returns
 from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.data.store.reader import Dataset, open_dataset, parse_ref
 from mpdt.errors import DataError, unknown_name
@@ -138,6 +139,29 @@ def return_table(
     if kind == "family":
         size, target = [material.family.return_scale] * n, [material.family.return_target] * n
     return ReturnTable(*(torch.tensor(x, dtype=torch.float32) for x in (size, low, high, target)))
+
+
+def sample_demonstrations(material: Material, steps: int, seed: int, each: int = 64) -> WindowBatch:
+    """`each` stretches of `steps` steps for every training task, (N, each, steps, ...), no pads.
+
+    Episodes uniformly, then starts uniformly among those with enough steps behind them.
+    Raises: DataError if a task's episodes are all shorter than that.
+    """
+    dataset, episodes, starts = material.dataset, [], []
+    lengths = np.asarray(dataset.episodes.length, np.int64)
+    for row in material.train_rows:
+        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, row])))
+        long = material.episode_ids[row][lengths[material.episode_ids[row]] >= steps]
+        if not len(long):
+            raise DataError(f"no episode of {dataset.tasks.names[row]} is as long as a prompt",
+                            where=str(dataset.path), expected=f"{steps} steps",
+                            hint="lower --prompts.length")  # fmt: skip
+        episodes.append(generator.choice(long, size=each))
+        starts.append(generator.integers(lengths[episodes[-1]] - steps + 1))
+    return gather_windows(
+        dataset, np.stack(episodes), np.stack(starts), steps,
+        reward_returns(dataset, dataset.steps.rewards), np.asarray(material.train_rows),
+    )  # fmt: skip
 
 
 def _range_and_returns(material: Material, row: int) -> tuple[float, float, list[float]]:

@@ -24,12 +24,14 @@ from torch import nn
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.data.slices.windows import WindowBatch
 from mpdt.errors import TrainingError, UsageError
+from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.policy import PolicyBatch, PromptPolicy, Windows, action_loss
-from mpdt.model.prompts import DecomposedPrompts, TeacherPrompts
+from mpdt.model.prompts import AdaptedPrompts, DecomposedPrompts, SharedPrompt, TeacherPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.train.teacher import Teacher
 
-Prompts = DecomposedPrompts | TeacherPrompts
+TaskPrompts = DecomposedPrompts | SharedPrompt | DemonstrationPrompts
+Prompts = TaskPrompts | TeacherPrompts | AdaptedPrompts
 Step = Callable[[int, dict[str, float]], bool]
 """Called after every update with (updates done, losses); True ends the loop early."""
 
@@ -106,7 +108,7 @@ def fit(
             group["lr"] = group["base_lr"] * rate_factor(settings, step, num_steps)
         windows = sampler.batch(step)
         batch, slots = as_batch(windows), torch.from_numpy(windows.slots)
-        of_tasks, task_prompts = returns.select(slots), prompts.task_prompts(slots)
+        of_tasks, task_prompts = returns.select(slots), prompts.task_prompts(slots, step)
         output = policy(
             batch, task_prompts, of_tasks,
             generator=_dropout_generator(sampler.seed, step),
@@ -142,10 +144,13 @@ def make_optimizer(
     policy: PromptPolicy, prompts: Prompts, settings: OptimiserSettings
 ) -> torch.optim.AdamW:
     """AdamW over the prompts and all trainables of the policy, each with its own rate."""
-    rates = {"cross": settings.lr_cross, "prompts": settings.lr_teacher}
+    rates = {
+        "cross": settings.lr_cross, "prompts": settings.lr_teacher,
+        "task_v": settings.lr_task, "task_u": settings.lr_task,
+    }  # fmt: skip
     groups = [{"params": [p for p in policy.parameters() if p.requires_grad], "lr": settings.lr}]
     groups += [
-        {"params": [parameter], "lr": rates.get(name, settings.lr_task)}
+        {"params": [parameter], "lr": rates.get(name, settings.lr)}
         for name, parameter in prompts.named_parameters()
     ]
     # `base_lr` travels in the group, so the schedule needs nothing but the step.

@@ -48,7 +48,8 @@ def run_pipeline(
                          expected="at least 0", found=str(time_limit_s))  # fmt: skip
     folder = locate(runs_dir, name)
     material = load_material(data, config.quality)
-    if config.statistics.source == "random" and config.adapt.needs_set:
+    random = config.statistics.source == "random" and config.adapt.aligns
+    if material.test_rows and (random or config.adapt.infers):
         material.random_ids()
     identity = identify(config, material)
     progress.say(_describe(material))

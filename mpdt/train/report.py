@@ -52,15 +52,19 @@ def build_tables(scores: Sequence[Score]) -> list[Table]:
         note += " (normalised)"
         verdicts = tuple(_verdicts(chosen, methods, kind))
         tables.append(Table(title + note, ("task", *methods), rows, verdicts))
-        means = tuple(_mean_row(method, at.get((MEAN, method)), has_success) for method in methods)
+        told = any(score.reads for score in chosen)
+        means = tuple(
+            _mean_row(method, at.get((MEAN, method)), has_success, told) for method in methods
+        )
         columns = ["method", "mean return", "95 % interval", "normalised"]
         columns += ["success"] if has_success else []
+        columns += ["reads"] if told else []
         tables.append(Table(f"{title}: mean over tasks", tuple(columns), means))
     return tables
 
 
 def test_title(scores: Sequence[Score]) -> str:
-    """What was known of the test tasks, from the tasks and from what adaptation read."""
+    """Whether training knew the test tasks; what each method read stands in its column."""
     test, train = (
         {score.task for score in scores if score.block == block} - {MEAN}
         for block in ("test", "train")
@@ -70,13 +74,6 @@ def test_title(scores: Sequence[Score]) -> str:
     if seen:
         said = f"{len(seen)} of {len(test)} are training tasks as well"
         said = "the training tasks again, behind other prompts" if seen == test else said
-    reads = {score.reads for score in scores if score.block == "test"}
-    if "rewards" in reads:
-        said += "; adaptation read rewards of their random episodes"
-    elif "steps" in reads:
-        said += "; adaptation read none of their rewards"
-    elif "nothing" in reads:
-        said += "; no adaptation"
     return f"Test tasks ({said})"
 
 
@@ -150,7 +147,7 @@ def _cell(score: Score | None) -> str:
     return " ".join(parts)
 
 
-def _mean_row(method: str, score: Score | None, has_success: bool) -> tuple[str, ...]:
+def _mean_row(method: str, score: Score | None, has_success: bool, told: bool) -> tuple[str, ...]:
     if score is None or score.mean != score.mean:
         cells = [NOT_MEASURED, "-", "-", "-"]
     else:
@@ -158,4 +155,5 @@ def _mean_row(method: str, score: Score | None, has_success: bool) -> tuple[str,
         known = score.normalised == score.normalised
         level = f"{score.normalised:.2f}" if known else "-"
         cells = [_number(score.mean), _interval(score), level, success]
-    return (method, *cells[: 4 if has_success else 3])
+    reads = [(score.reads if score else None) or "-"] if told else []
+    return (method, *cells[: 4 if has_success else 3], *reads)

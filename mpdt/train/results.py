@@ -28,7 +28,8 @@ MEAN = "mean"
 ZERO, RANDOM, CONSTANT, EXPERT = "zero action", "random", "best constant", "expert"
 TRIVIAL = (ZERO, RANDOM)
 """Methods that any policy has to beat before it has learnt something."""
-Reads = Literal["nothing", "steps", "rewards"]
+Reads = Literal["nothing", "X", "X+rewards", "labelled steps", "demonstration"]
+"""What was read of a test task before its first step: the set X, its simulator's rewards, ..."""
 
 
 class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -50,7 +51,7 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     beats_trivial: bool | None = None
     """Its interval lies above those of zero action and random; None = not compared."""
     reads: Reads | None = None
-    """What adaptation read of this task: nothing, X's steps without rewards, or rewards too."""
+    """What was read of this task to make the policy; None for references and training tasks."""
 
 
 def bootstrap(

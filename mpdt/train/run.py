@@ -10,6 +10,7 @@ is simply done again, after a stop or with other settings of judging.
 
 from __future__ import annotations
 
+import copy
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,16 +22,17 @@ import torch
 
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.model.backbone import Backbone
+from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.policy import PromptPolicy
-from mpdt.model.prompts import DecomposedPrompts, TeacherPrompts
+from mpdt.model.prompts import DecomposedPrompts, PromptSettings, SharedPrompt, TeacherPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.model.weights import WeightsHeader, load_weights, save_weights
 from mpdt.train.config import TrainConfig, to_plain
 from mpdt.train.fit_check import check_fits
 from mpdt.train.folder import RunFolder
 from mpdt.train.identity import JUDGING
-from mpdt.train.material import Ids, Material, return_table
-from mpdt.train.multitask import Prompts, fit, make_optimizer
+from mpdt.train.material import Ids, Material, return_table, sample_demonstrations
+from mpdt.train.multitask import Prompts, TaskPrompts, as_batch, fit, make_optimizer
 from mpdt.train.progress import Progress
 from mpdt.train.state import Checkpoint, Stopped, StopRequest, Subject
 from mpdt.train.teacher import Teacher
@@ -49,7 +51,7 @@ class Trained:
     """What training leaves in memory."""
 
     policy: PromptPolicy
-    prompts: DecomposedPrompts
+    prompts: TaskPrompts
     returns: ReturnTable  # one row per training task
     steps: Mapping[str, int]  # updates done per phase
     asked: Mapping[str, int]
@@ -105,16 +107,26 @@ class Trainer:
         spread = float(self.backbone.word_embeddings.std())
         shape = (config.prompts, len(self.material.train_rows), self.backbone.width, spread)
         self.teacher_prompts = TeacherPrompts(*shape, phase_seed(config.seed, "teacher"))
-        self.prompts = DecomposedPrompts(*shape, phase_seed(config.seed, "student"))
         self.returns = return_table(
             self.material, config.inputs.return_to_go, config.target_quantile
         )
+        self.prompts = self._task_prompts(shape)
         taught = config.teacher.distillation != "none"
         self.asked = {
             "teacher": config.teacher.steps if taught else 0,
             "student": config.multitask.steps,
         }
         self._hashes = {"run": self.run_hash, "backbone": self.backbone.fingerprint}
+
+    def _task_prompts(self, shape: tuple[PromptSettings, int, int, float]) -> TaskPrompts:
+        settings, seed = shape[0], phase_seed(self.config.seed, "student")
+        if settings.kind == "decomposed":
+            return DecomposedPrompts(*shape, seed)
+        if settings.kind in ("shared", "none"):
+            return SharedPrompt(*shape, seed)
+        inputs = copy.deepcopy(self.policy.inputs)
+        shown = sample_demonstrations(self.material, settings.length, seed)
+        return DemonstrationPrompts(inputs, as_batch(shown), self.returns, seed)
 
     def train(self) -> Trained:
         """Phases A and B, from whole weights or from the checkpoints if there are any.

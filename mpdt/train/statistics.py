@@ -20,7 +20,7 @@ from torch import Tensor
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.errors import UsageError
 from mpdt.model.policy import PromptPolicy
-from mpdt.model.prompts import DecomposedPrompts
+from mpdt.model.prompts import TrainedPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.train.multitask import as_batch
 
@@ -71,7 +71,7 @@ def moments(
 @torch.no_grad()
 def source_statistics(
     policy: PromptPolicy,
-    prompts: DecomposedPrompts,
+    prompts: TrainedPrompts,
     sampler: WindowSampler,
     returns: ReturnTable,
     settings: StatisticsSettings,
@@ -101,7 +101,7 @@ def source_statistics(
 
 def _features(
     policy: PromptPolicy,
-    prompts: DecomposedPrompts,
+    prompts: TrainedPrompts,
     sampler: WindowSampler,
     returns: ReturnTable,
     batches: int,

@@ -1,12 +1,16 @@
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 import torch
 
 from mpdt.errors import ShapeError, SpecError
-from mpdt.model.prompts import AdaptedPrompts, DecomposedPrompts, PromptSettings, TeacherPrompts
+from mpdt.model.prompts import (
+    AdaptedPrompts,
+    DecomposedPrompts,
+    PromptSettings,
+    SharedPrompt,
+    TeacherPrompts,
+)
 
 SMALL = PromptSettings(length=2, rank=1, init_std=1.0)
 
@@ -79,12 +83,10 @@ def test_start_of_the_paper_is_standard_normal() -> None:
     assert not torch.equal(prompts.task_u, other.task_u)
 
 
-def test_teacher_has_a_full_prompt_per_task_and_one_can_serve_all() -> None:
+def test_teacher_has_a_full_prompt_per_task() -> None:
     teacher = TeacherPrompts(PromptSettings(), num_tasks=3, width=64, spread=0.2)
     assert teacher.task_prompts().shape == (3, 30, 64)
     assert float(teacher.prompts.detach().std()) == pytest.approx(0.2, rel=0.05)
-    shared = TeacherPrompts(SMALL, num_tasks=1, width=4, spread=1.0)
-    assert shared.task_prompts(torch.zeros(5, dtype=torch.long)).shape == (5, 2, 4)
 
 
 def test_starts_of_adaptation_worked_by_hand(by_hand: DecomposedPrompts) -> None:
@@ -93,13 +95,16 @@ def test_starts_of_adaptation_worked_by_hand(by_hand: DecomposedPrompts) -> None
         "cross": ([[1, 2], [3, 4]], None),
         "cross_mean": ([[1.5, 4], [10.5, 14]], None),
         "none": ([[1.5, 4], [10.5, 14]], None),
-        "cross_one": ([[0, 0], [3, -4]], [1]),
+        "cross_one": ([[0, 0], [3, -4]], [0.0, 1.0]),
+        "infer": ([[1.5, 4], [10.5, 14]], [0.5, 0.5]),
+        "infer_aligned": ([[0, 0], [3, -4]], [0.0, 1.0]),
     }
-    for start, (expected, donors) in starts.items():
-        adapted = AdaptedPrompts(by_hand, start, 1, donors)  # type: ignore[arg-type]
+    for start, (expected, row) in starts.items():
+        weights = None if row is None else torch.tensor([row])
+        adapted = AdaptedPrompts(by_hand, start, 1, weights)  # type: ignore[arg-type]
         assert adapted.task_prompts().tolist() == [expected], start
         tuned = [name for name, p in adapted.named_parameters() if p.requires_grad]
-        assert tuned == ([] if start == "none" else ["cross"]), start
+        assert tuned == ([] if start in ("none", "infer") else ["cross"]), start
 
 
 def test_random_part_is_tuned_behind_a_fixed_cross_prompt(by_hand: DecomposedPrompts) -> None:
@@ -120,17 +125,23 @@ def test_copies_are_independent_and_the_trained_prompts_stay(by_hand: Decomposed
     assert by_hand.cross.tolist() == [[1, 2], [3, 4]]
 
 
-@pytest.mark.parametrize(
-    "make",
-    [lambda p: AdaptedPrompts(p, "cross", 1, [0]), lambda p: AdaptedPrompts(p, "cross_one", 1)],
-)
-def test_donors_belong_to_one_start(
-    by_hand: DecomposedPrompts, make: Callable[[DecomposedPrompts], None]
-) -> None:
-    with pytest.raises(SpecError, match="donor tasks go with the start cross_one"):
-        make(by_hand)
+def test_weights_belong_to_some_starts(by_hand: DecomposedPrompts) -> None:
+    with pytest.raises(SpecError, match="weights only for cross_one, infer, infer_aligned"):
+        AdaptedPrompts(by_hand, "cross", 1, torch.ones(1, 2))
+    with pytest.raises(SpecError, match="start infer: weights of training tasks"):
+        AdaptedPrompts(by_hand, "infer", 1)
 
 
-def test_one_donor_per_task(by_hand: DecomposedPrompts) -> None:
-    with pytest.raises(ShapeError, match="expected 2, found 1"):
-        AdaptedPrompts(by_hand, "cross_one", 2, [0])
+def test_one_row_of_weights_per_task(by_hand: DecomposedPrompts) -> None:
+    with pytest.raises(ShapeError, match=r"expected \(2, 2\), found \(1, 2\)"):
+        AdaptedPrompts(by_hand, "cross_one", 2, torch.ones(1, 2))
+
+
+def test_a_shared_prompt_is_the_same_for_every_task_and_may_be_empty() -> None:
+    shared = SharedPrompt(PromptSettings(kind="shared", length=2), 3, width=4, spread=1.0)
+    assert shared.task_prompts(torch.tensor([2, 0])).shape == (2, 2, 4)
+    assert torch.equal(shared.task_prompts()[2], shared.cross)
+    empty = SharedPrompt(PromptSettings(kind="none"), 3, width=4, spread=1.0)
+    assert empty.task_prompts().shape == (3, 0, 4)
+    assert not any(p.requires_grad for p in empty.parameters())
+    assert AdaptedPrompts(empty, "none", 2).task_prompts().shape == (2, 0, 4)

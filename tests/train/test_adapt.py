@@ -110,7 +110,7 @@ class _Whole(AdaptationSet):
 
         picks = [np.arange(2) for _ in self._covers]
         return module.gather_windows(
-            self._source,
+            self.source,
             np.stack([ids[p] for (ids, _), p in zip(self._covers, picks, strict=True)]),
             np.stack([s[p] for (_, s), p in zip(self._covers, picks, strict=True)]),
             self._window, self._returns, tasks=self._rows,

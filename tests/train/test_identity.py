@@ -9,6 +9,7 @@ import pytest
 from mpdt.data.reference import YARDSTICKS
 from mpdt.train.config import TrainConfig, to_plain
 from mpdt.train.identity import identify
+from mpdt.train.infer import InferSettings
 from mpdt.train.material import load_material
 
 
@@ -84,7 +85,7 @@ def with_setting(key):
     part, _, name = key.partition(".")
     config = TrainConfig()
     if not name:
-        return msgspec.structs.replace(config, **{part: 1 if part == "seed" else 0})
+        return msgspec.structs.replace(config, **{part: {"seed": 1, "method": "X"}.get(part, 0)})
     own = msgspec.structs.asdict(getattr(config, part))
     value = own[name]
     kinds = {bool: lambda v: not v, int: lambda v: v + 1, float: lambda v: v + 0.5}
@@ -101,17 +102,19 @@ OTHERS = {
     "prompts.task_init": "ones", "sampler.order": "sequential", "optimiser.schedule": "cosine",
     "teacher.distillation": "none", "statistics.source": "random", "statistics.axes": "position",
     "adapt.starts": ("none",), "adapt.layers": (0,), "adapt.returns": "decrement",
-    "adapt.target": "training",
+    "adapt.target": "training", "adapt.infer": InferSettings(tasks=3), "prompts.kind": "shared",
+    "few_shot.qualities": ("expert",), "few_shot.start": "cross_mean", "few_shot.tuned": "all",
 }  # fmt: skip
+
+
+JUDGED = ("method", "adapt", "few_shot", "statistics", "evaluation")
 
 
 @pytest.mark.parametrize(
     "key", [k for k in SETTINGS if k not in ("quality", "adapt.set", "inputs.tokens_per_step")]
 )
 def test_every_setting_counts_in_its_part(material, key):
-    part = (
-        "judging" if key.partition(".")[0] in ("adapt", "statistics", "evaluation") else "training"
-    )
+    part = "judging" if key.partition(".")[0] in JUDGED else "training"
     assert changed(TrainConfig(), material, with_setting(key), material) == {part}
 
 

@@ -11,13 +11,19 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 import pytest
+import torch
 
-from mpdt.train import judge
+from mpdt.model.prompts import AdaptedPrompts, PromptSettings, SharedPrompt
+from mpdt.model.returns import ReturnTable
+from mpdt.train import judge, unseen
 from mpdt.train.evaluate import ConstantController, Evaluation, UniformController, evaluate
 from mpdt.train.judge import Judge
 from mpdt.train.material import load_material
 from mpdt.train.presets import smoke
 from mpdt.train.results import MEAN
+from mpdt.train.unseen import UnseenTasks
+
+ONE = SharedPrompt(PromptSettings(kind="shared", length=1), 2, 4, 1.0)
 
 
 def make_judge(tiny_file, horizon=0, returns="constant", sampler=None):
@@ -80,10 +86,10 @@ def played(monkeypatch):
     monkeypatch.setattr(judge, "evaluate", fake)
     monkeypatch.setattr(ConstantController, "act", lambda self, _: self._action)
     monkeypatch.setattr(Judge, "_best_constant", lambda self: np.zeros(6, np.float32))
-    monkeypatch.setattr(Judge, "_controller", lambda self, prompts, returns: SimpleNamespace())
-    monkeypatch.setattr(
-        Judge, "_adapted", lambda self: [("cross", None, None), ("none", None, None)]
-    )
+    monkeypatch.setattr(UnseenTasks, "controller", lambda self, *_: SimpleNamespace())
+    monkeypatch.setattr(UnseenTasks, "_statistics", lambda self: None)
+    monkeypatch.setattr(UnseenTasks, "_adapt", lambda self, *_: None)
+    monkeypatch.setattr(UnseenTasks, "_start", lambda self, _: AdaptedPrompts(ONE, "cross", 2))
     return fake
 
 
@@ -91,7 +97,8 @@ def played(monkeypatch):
 def judged(played, tiny_file):
     def scores(**options):
         subject = make_judge(tiny_file, **options)
-        subject.trained.prompts = SimpleNamespace(task_prompts=lambda: None)
+        subject.trained.prompts = ONE
+        subject.trained.returns = ReturnTable(*(torch.ones(2) for _ in range(4)))
         return subject.scores()
 
     return scores
@@ -134,7 +141,7 @@ def test_mpdt_gets_a_verdict_and_references_do_not(judged):
     assert {s.beats_trivial for s in scores if not s.method.startswith("MPDT")} == {None}
 
 
-@pytest.mark.parametrize(("returns", "read"), [("constant", "steps"), ("decrement", "rewards")])
+@pytest.mark.parametrize(("returns", "read"), [("constant", "X"), ("decrement", "X+rewards")])
 def test_what_adaptation_read_is_said(judged, returns, read):
     said = {s.method: s.reads for s in judged(returns=returns) if s.block == "test"}
     assert said["MPDT from cross, adapted"] == read
@@ -145,7 +152,8 @@ def test_statistics_show_episodes_evenly(tiny_file, monkeypatch):
     """X is covered once per step, so the source must not favour the beginning of episodes."""
     drawn = SimpleNamespace(start_bias=30)
     subject = make_judge(tiny_file, sampler=lambda phase, ids: drawn)
+    subject.trained.returns = ReturnTable(*(torch.ones(2) for _ in range(4)))
     monkeypatch.setattr(
-        judge, "source_statistics", lambda policy, prompts, sampler, *_: sampler.start_bias
+        unseen, "source_statistics", lambda policy, prompts, sampler, *_: sampler.start_bias
     )
-    assert subject._statistics() == 0
+    assert UnseenTasks(subject.trainer, subject.trained)._statistics() == 0

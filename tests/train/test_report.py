@@ -65,25 +65,28 @@ def test_verdicts_stand_below_the_table_of_their_block():
 
 
 @pytest.mark.parametrize(
-    ("test", "reads", "said"),
+    ("test", "said"),
     [
-        ("cd", ["nothing", "steps"], "never trained on; adaptation read none of their rewards"),
-        ("ab", ["nothing", "steps"],
-         "the training tasks again, behind other prompts; adaptation read none of their rewards"),
-        ("bcd", ["nothing"], "1 of 3 are training tasks as well; no adaptation"),
-        ("cd", ["rewards", "nothing"],
-         "never trained on; adaptation read rewards of their random episodes"),
-        ("cd", [None], "never trained on"),
+        ("cd", "never trained on"),
+        ("ab", "the training tasks again, behind other prompts"),
+        ("bcd", "1 of 3 are training tasks as well"),
     ],
-)  # fmt: skip
-def test_the_title_says_what_was_known_of_the_test_tasks(test, reads, said):
+)
+def test_the_title_says_whether_training_knew_the_test_tasks(test, said):
     scores = [score(task, "MPDT", 1.0) for task in ("a", "b", MEAN)]
     scores += [score(task, "random", 1.0, block="test") for task in (*test, MEAN)]
-    for i, read in enumerate(reads):
-        scores += [score(task, f"m{i}", 1.0, block="test", reads=read) for task in (*test, MEAN)]
     titles = [table.title for table in build_tables(scores)]
     assert titles[2].startswith(f"Test tasks ({said}): return")
     assert titles[3] == f"Test tasks ({said}): mean over tasks"
+
+
+def test_a_column_says_what_was_read_of_the_test_tasks():
+    """Not in the table of training tasks, where there is nothing to say."""
+    scores = [score(MEAN, "random", 1.0, block=block) for block in ("train", "test")]
+    scores += [score(MEAN, "infer", 2.0, block="test", reads="X+rewards")]
+    train, test = build_tables(scores)[1::2]
+    assert "reads" not in train.columns and test.columns[-1] == "reads"
+    assert [row[-1] for row in test.rows] == ["-", "X+rewards"]
 
 
 def test_markdown_and_terminal_hold_the_same_cells():

@@ -148,9 +148,9 @@ def test_results_hold_no_nan(tmp_path):
 def test_results_are_read_back(tmp_path):
     nan = float("nan")
     said = Score(block="train", task="a", method="x", mean=1.0, low=0.0, high=2.0, normalised=nan,
-                 beats_trivial=False, reads="steps")  # fmt: skip
+                 beats_trivial=False, reads="X")  # fmt: skip
     (score,) = scores_in(json.loads(encode_results({}, [said])))
-    assert (score.beats_trivial, score.reads) == (False, "steps") and np.isnan(score.normalised)
+    assert (score.beats_trivial, score.reads) == (False, "X") and np.isnan(score.normalised)
 
 
 def test_atomic_write_replaces_and_cleans_up(tmp_path):
