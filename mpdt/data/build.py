@@ -2,32 +2,34 @@
 
 spec -> plan -> lock -> missing blocks on workers -> levels -> pack -> parts deleted
           |                     |                      |
-          '- nothing to do?     '- parts survive any   '- qualities out of order:
-             file is complete      kill                   nothing is written
+          '- nothing to do?     '- parts survive any   '- qualities out of order, a
+             file is complete      kill                   false version, other content than
+                                                          locked: nothing is written
 """
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from mpdt.data.episode import PolicyInfo
 from mpdt.data.levels import check_levels, measure_levels
+from mpdt.data.locking import MACHINE, LockKeeper, plain_spec
 from mpdt.data.pack import pack
-from mpdt.data.parts import PartsFolder, changed_keys
+from mpdt.data.parts import PartsFolder
 from mpdt.data.plan import Block, Plan, make_plan
 from mpdt.data.runner import BlockReport, BlockRunner, Gap, report_part
 from mpdt.data.sim.engines import default_workers, map_blocks
 from mpdt.data.sim.ladder import load_ladder
 from mpdt.data.sim.references import find_records
-from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.spec.claim import changed_keys
+from mpdt.data.spec.entry import DatasetSpec, canonical_json
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
@@ -35,7 +37,6 @@ from mpdt.errors import BusyError, DataError, FormatError, StorageError, UsageEr
 
 # What the bytes of a block depend on beside the spec; parts of other versions never mix.
 PACKAGES = ("mpdt", "python", "numpy", "mujoco", "metaworld")
-MACHINE = ("arch", "cpu", "blas")
 
 
 @dataclass(frozen=True)
@@ -58,13 +59,17 @@ OnProgress = Callable[[Progress], None]
 
 @dataclass(frozen=True)
 class Collected:
-    """Result of `collect`: the open file, and what was done for it."""
+    """Result of `collect`: the open file, and what was done for it.
+
+    `lock` is one line on what the lock file holds of it now, or nothing.
+    """
 
     dataset: Dataset
     is_new: bool
     num_workers: int = 0
     resumed_blocks: int = 0
     warnings: list[str] = field(default_factory=list)
+    lock: str = ""
 
 
 def collect(
@@ -73,6 +78,7 @@ def collect(
     *,
     workers: int | None = None,
     restart: bool = False,
+    lock: LockKeeper | None = None,
     on_progress: OnProgress | None = None,
 ) -> Collected:
     """Make the file of `spec` at `target`, or go on with an interrupted collection.
@@ -83,14 +89,34 @@ def collect(
     Args:
         workers: processes; None = one per core, 0 = in this process.
         restart: ignore and delete what an earlier run left, and replace a finished file.
+        lock: the lock file to compare with and to write to; None = there is none.
         on_progress: called once at the start and after every block.
 
-    Raises: DataError if the file or its unfinished parts belong to another spec, or if the
-        qualities are not in order; BusyError if another collector holds the target;
-        StorageError; SpecError; SimulatorError. Finished blocks are kept in every case.
+    Raises: DataError if the file or its unfinished parts belong to another spec, if the
+        qualities are not in order, or if the lock holds something else; BusyError if another
+        collector holds the target; StorageError; SpecError; SimulatorError. Finished blocks
+        are kept in every case.
     """
     if workers is not None and workers < 0:
         raise UsageError("a negative number of workers", found=str(workers))
+    if lock is None:
+        return _collect(spec, target, workers, restart, None, on_progress)
+    lock.before(spec)
+    done = _collect(spec, target, workers, restart, lock.approve, on_progress)
+    if not done.is_new:
+        lock.approve(done.dataset)
+    note, warnings = lock.after(done.dataset)
+    return replace(done, lock=note, warnings=[*done.warnings, *warnings])
+
+
+def _collect(
+    spec: DatasetSpec,
+    target: Path,
+    workers: int | None,
+    restart: bool,
+    approve: Callable[[Dataset], None] | None,
+    on_progress: OnProgress | None,
+) -> Collected:
     ladder, folder = load_ladder(spec), PartsFolder(target)
     plan = make_plan(spec, find_records(spec, ladder))
     policies = ladder.policies(plan.tasks)
@@ -110,7 +136,7 @@ def collect(
         reports, resumed = _run_missing(plan, folder, size, on_progress or (lambda _: None))
         levels = measure_levels(plan, reports)
         warnings = check_levels(plan, levels, str(folder.path))
-        dataset = pack(plan, folder, reports, policies, levels)
+        dataset = pack(plan, folder, reports, policies, levels, approve)
         folder.delete()
     return Collected(dataset, True, size, resumed, warnings)
 
@@ -136,7 +162,7 @@ def find_finished(plan: Plan, target: Path, policies: Sequence[PolicyInfo]) -> D
             where=str(target),
             hint="choose another file with -o; --restart replaces it",
         )
-    if dataset.spec_hash == plan.spec_hash:
+    if not (changed := changed_keys(dict(dataset.spec), plain_spec(plan.spec))):
         if {policy.hash for policy in policies} == {p.hash for p in dataset.policy_infos()}:
             return dataset
         raise DataError(
@@ -144,7 +170,6 @@ def find_finished(plan: Plan, target: Path, policies: Sequence[PolicyInfo]) -> D
             where=str(target),
             hint="--restart makes it again with those installed; -o writes another file",
         )
-    changed = changed_keys(dict(dataset.spec), msgspec.to_builtins(plan.spec))
     raise DataError(
         "the target was made from another spec: " + "; ".join(changed),
         where=str(target),
@@ -155,9 +180,11 @@ def find_finished(plan: Plan, target: Path, policies: Sequence[PolicyInfo]) -> D
 def describe_plan(plan: Plan) -> dict[str, Any]:
     """Content of plan.json: what decides the bytes of the parts, but for who acts in them."""
     versions, machine = provenance.packages(), provenance.machine()
+    # Neither decides a byte of a part, and a version that claimed too much can be raised.
+    spec = {k: v for k, v in plain_spec(plan.spec).items() if k not in ("version", "license")}
     return {
-        "spec": msgspec.to_builtins(plan.spec),
-        "spec_hash": plan.spec_hash,
+        "spec": spec,
+        "spec_hash": hashlib.sha256(canonical_json(spec)).hexdigest(),
         "packages": {name: versions[name] for name in PACKAGES if name in versions},
         "machine": {name: machine[name] for name in MACHINE},
         # Which references are on record may change between two runs, and changes no part.

@@ -6,7 +6,7 @@ the target stays until the new one has been read back and compared with the part
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -31,6 +31,7 @@ def pack(
     reports: Sequence[BlockReport],
     policies: Sequence[PolicyInfo],
     levels: Mapping[str, TaskLevels],
+    approve: Callable[[Dataset], None] | None = None,
 ) -> Dataset:
     """Write the target of `folder` from the parts of all blocks of `plan`.
 
@@ -38,6 +39,7 @@ def pack(
         reports: one per block, in any order.
         policies: every policy an episode may name.
         levels: their references go into the task table.
+        approve: looks at all episodes before the file takes its place; may raise.
 
     Raises: StorageError where the disk refuses, DataError for a part that was damaged
         meanwhile; the target is untouched in both cases.
@@ -60,15 +62,15 @@ def pack(
             )
     source = EpisodeSource(episodes(stored), *counts(stored))
     references = {task: level.references for task, level in levels.items()}
-    return write_file(
-        folder.target,
-        _header(plan, policies),
-        source,
-        tta,
-        lambda dataset: Additions(
+
+    def finish(dataset: Dataset) -> Additions:
+        if approve is not None:
+            approve(dataset)
+        return Additions(
             slices=standard_slices(dataset), stats=compute_stats(dataset), references=references
-        ),
-    )
+        )
+
+    return write_file(folder.target, _header(plan, policies), source, tta, finish)
 
 
 def _header(plan: Plan, policies: Sequence[PolicyInfo]) -> FileHeader:

@@ -18,6 +18,7 @@ from typing import Any
 from mpdt.data.part import Part
 from mpdt.data.plan import Block
 from mpdt.data.replacement import disk, replacing
+from mpdt.data.spec.claim import changed_keys
 from mpdt.data.store.lock import take_lock
 from mpdt.errors import DataError
 
@@ -102,19 +103,3 @@ class PartsFolder:
             for name in ("plan.json", "collector.pid"):
                 (self.path / name).unlink(missing_ok=True)
             self.path.rmdir()
-
-
-def changed_keys(old: Any, new: Any, path: str = "") -> list[str]:
-    """`key old -> new` for every leaf that differs between two JSON objects."""
-    if isinstance(old, dict) and isinstance(new, dict):
-        return [
-            line
-            for key in sorted({*old, *new})
-            for line in changed_keys(
-                old.get(key), new.get(key), f"{path}.{key}" if path else str(key)
-            )
-        ]
-    if old == new:
-        return []
-    before, after = ("absent" if v is None else json.dumps(v) for v in (old, new))
-    return [f"{path} {before} -> {after}"]

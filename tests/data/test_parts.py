@@ -14,7 +14,7 @@ import pytest
 
 from mpdt.data.episode import Episode
 from mpdt.data.part import Part
-from mpdt.data.parts import PartsFolder, changed_keys
+from mpdt.data.parts import PartsFolder
 from mpdt.data.plan import Block
 from mpdt.data.runner import BlockReport, Gap, report_part
 from mpdt.data.spec.tasks import get_family
@@ -246,13 +246,6 @@ def test_parts_without_a_readable_plan_are_dropped(folder: PartsFolder) -> None:
     (folder.path / "plan.json").write_text("{half")
     folder.agree({"spec": {}})
     assert report_part(folder, BLOCK, ACTOR) is Gap.MISSING
-
-
-def test_changed_keys_by_hand() -> None:
-    old = {"a": 1, "b": {"c": [1, 2], "d": "x"}, "e": None}
-    new = {"a": 1, "b": {"c": [1, 3], "d": "x"}, "f": True}
-    assert changed_keys(old, new) == ["b.c [1, 2] -> [1, 3]", "f absent -> true"]
-    assert changed_keys(old, old) == []
 
 
 def test_part_path() -> None:

@@ -70,3 +70,25 @@ def load_yaml(text: str, where: str) -> Any:
         raise SpecError("repeated key", where=where, found=found,
                         hint="YAML would keep the last one and drop the others")  # fmt: skip
     return value
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes exactly the text that `_Loader` would read as something else, such as `12e34`."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+_Dumper.yaml_implicit_resolvers = _Loader.yaml_implicit_resolvers
+
+
+def dump_yaml(value: Any) -> str:
+    """YAML text with one form per value: keys sorted, blocks outside, `{a: 1}` for the last level.
+
+    `load_yaml` reads the same value back (tuples as lists).
+    """
+    text: str = yaml.dump(
+        value, Dumper=_Dumper, sort_keys=True, default_flow_style=None, width=100,
+        allow_unicode=True,
+    )  # fmt: skip
+    return text

@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 from mpdt.data.verbs.options import Names, Options, split_names
 
 if TYPE_CHECKING:
+    from mpdt.data.locking import LockKeeper
     from mpdt.data.plan import Plan
     from mpdt.data.spec.entry import DatasetSpec
 
@@ -129,6 +130,10 @@ class Collect(Plans):
 
     restart: bool = False
     """Start again: delete unfinished parts, replace a finished file."""
+    locked: bool = False
+    """Only the episodes that datasets.lock holds will do."""
+    update_lock: bool = False
+    """Replace the entry of datasets.lock even if the version is the same."""
     dry_run: bool = False
     """Stop after the plan."""
 
@@ -145,18 +150,39 @@ class Collect(Plans):
         spec, target = plan.spec, self.target(plan.spec)
         with show_progress(self.quiet) as tell:
             done = collect(
-                spec, target, workers=self.workers, restart=self.restart, on_progress=tell
-            )
+                spec, target, workers=self.workers, restart=self.restart,
+                lock=self.lock_keeper(), on_progress=tell,
+            )  # fmt: skip
         for warning in done.warnings:
             self.say(f"warning: {warning}")
         data = done.dataset
         size = target.stat().st_size / 1e6
         verb = "packed " if done.is_new else "nothing to do: complete "
+        if done.lock:
+            self.say(f"lock    {done.lock}")
         self.print(
-            describe(data) | {"is_new": done.is_new, "warnings": done.warnings},
+            describe(data) | {"is_new": done.is_new, "warnings": done.warnings, "lock": done.lock},
             f"{verb} {target}   {data.num_episodes:,} episodes   {size:.1f} MB   "
             f"content {data.content_hash[:8]}\n" + level_table(data),
         )
+
+    def lock_keeper(self) -> LockKeeper | None:
+        """The lock beside the catalog; none for some of an entry's tasks. Raises: UsageError.
+
+        A smoke version has an entry of its own, which is compared but not added unasked.
+        """
+        from mpdt.data.locking import LockKeeper
+        from mpdt.data.spec.catalog import load_catalog
+        from mpdt.data.spec.lock import lock_path
+        from mpdt.errors import UsageError
+
+        if self.tasks:
+            if self.locked or self.update_lock:
+                raise UsageError("the lock holds whole entries",
+                                 hint="leave --tasks or the lock out")  # fmt: skip
+            return None
+        path = lock_path(load_catalog(self.spec).path)
+        return LockKeeper(path, self.locked, self.update_lock, add=not self.smoke)
 
 
 @dataclass(frozen=True, kw_only=True)

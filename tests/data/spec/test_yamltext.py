@@ -1,7 +1,7 @@
 import pytest
 import yaml
 
-from mpdt.data.spec.yamltext import load_yaml
+from mpdt.data.spec.yamltext import dump_yaml, load_yaml
 from mpdt.errors import SpecError
 
 
@@ -40,3 +40,16 @@ def test_python_tags_do_not_run():
 
 def test_other_users_of_yaml_keep_their_rules():
     assert yaml.safe_load("on") is True
+
+
+@pytest.mark.parametrize("text", ["12e34", "1.0", "true", "null", "~", "", "0", "on", "1.0.0", "é"])
+def test_text_is_written_so_that_it_reads_back_as_text(text):
+    value = {"b": [text], "a": {text or "x": text}}
+    assert load_yaml(dump_yaml(value), "x") == value
+
+
+def test_dumped_yaml_has_one_form():
+    assert (
+        dump_yaml({"b": {"d": 1, "c": [1, 2.0]}, "a": None})
+        == "a: null\nb:\n  c: [1, 2.0]\n  d: 1\n"
+    )
