@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES, Episode, PolicyInfo
+from mpdt.data.store.digest import content_header
 from mpdt.data.store.tables import (
     Episodes,
     Float64,
@@ -80,6 +81,13 @@ class Dataset:
     @property
     def action_size(self) -> int:
         return int(self.steps.actions.shape[1])
+
+    def content_header(self) -> dict[str, Any]:
+        """What the content hash knows of this file beside its episodes."""
+        return content_header(
+            self.family, self.tasks.names, self.observation_size, self.action_size,
+            self.steps.successes is not None,
+        )  # fmt: skip
 
     def task_row(self, name_or_row: str | int) -> int:
         """Row of the task table.

@@ -127,10 +127,12 @@ QUALITY_ATTRIBUTE = dict(QUALITY_CODES, unknown=-1)
 def check_group(
     group: h5py.Group,
     columns: tuple[Column, ...],
-    sizes: dict[str, int],
+    sizes: dict[str, int] | None,
     where: str,
 ) -> None:
     """Compare one group with its columns; letters met first bind a size in `sizes`.
+
+    `sizes` None: each dataset may have sizes of its own, only the number of axes counts.
 
     Raises: FormatError naming the first missing dataset, wrong dtype or wrong shape.
     """
@@ -149,7 +151,8 @@ def check_group(
         if not good:
             raise FormatError(f"dataset {found.name} has the wrong type", where=where,
                               expected=column.dtype, found=str(found.dtype))  # fmt: skip
-        wanted = [sizes.setdefault(letter, size) if isinstance(letter, str) else letter
+        bound = {} if sizes is None else sizes
+        wanted = [bound.setdefault(letter, size) if isinstance(letter, str) else letter
                   for letter, size in zip(column.shape, found.shape, strict=False)]  # fmt: skip
         if len(found.shape) != len(column.shape) or list(found.shape) != wanted:
             letters = ", ".join(map(str, column.shape))

@@ -21,7 +21,6 @@ from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.store import layout, tables
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash as hash_content
-from mpdt.data.store.digest import content_header
 from mpdt.data.store.integrity import check_tables
 from mpdt.data.store.origin import damaged_hint, missing_hint
 from mpdt.data.store.references import references_of
@@ -84,11 +83,19 @@ def open_tta_rewards(path: Path | str, name: str) -> tuple[tables.Float32, table
         return arrays.take(group["sim_rewards"]), successes
 
 
-def read_file(path: Path, preload: bool = False, unfinished: bool = False) -> Dataset:
-    """`open_dataset`, and for the writer alone also a file that is not `complete` yet."""
+def read_file(
+    path: Path, preload: bool = False, unfinished: bool = False, checked: bool = True
+) -> Dataset:
+    """`open_dataset`, and more for two callers.
+
+    Args:
+        unfinished: for the writer, also a file that is not `complete` yet.
+        checked: False for `verify`, which looks at rows, ids and hashes itself: names, types
+            and numbers of axes are as the format says, and nothing else is known.
+    """
     with _open(path) as (file, stream), _told_as_damage(path):
         _check_header(file, path, unfinished)
-        return _read(file, path, _Arrays(stream, preload))
+        return _read(file, path, _Arrays(stream, preload), checked)
 
 
 # What h5py and numpy raise about metadata that makes no sense, found by flipping bytes.
@@ -199,12 +206,12 @@ def _columns(
     return values
 
 
-def _read(file: h5py.File, path: Path, arrays: _Arrays) -> Dataset:
+def _read(file: h5py.File, path: Path, arrays: _Arrays, checked: bool = True) -> Dataset:
     where, sizes = str(path), dict[str, int]()
     for name, columns in layout.GROUPS.items():
         if name not in file:
             raise FormatError(f"group /{name} is missing", where=where, hint=damaged_hint(path))
-        layout.check_group(file[name], columns, sizes, where)
+        layout.check_group(file[name], columns, sizes if checked else None, where)
     family = layout.read_text(file, "family", where)
     episodes = _columns(file["episodes"], layout.EPISODES)
     episodes["returns"] = episodes.pop("return")
@@ -233,13 +240,15 @@ def _read(file: h5py.File, path: Path, arrays: _Arrays) -> Dataset:
         slices=slices,
         slice_rules={n: layout.read_json(file["slices"][n], "rule", where) for n in slices},
         stats_info=_read_stats(file["stats"], where) if "stats" in file else None,
-        tta={n: _read_tta(n, g, sizes, where, arrays) for n, g in file.get("tta", {}).items()},
+        tta={
+            n: _read_tta(n, g, sizes if checked else None, where, arrays)
+            for n, g in file.get("tta", {}).items()
+        },
     )  # fmt: skip
+    if not checked:
+        return dataset
     check_tables(dataset)
-    header = content_header(
-        family, dataset.tasks.names, sizes["D"], sizes["A"], dataset.steps.successes is not None
-    )
-    found = hash_content(header, dataset.episodes.digest)
+    found = hash_content(dataset.content_header(), dataset.episodes.digest)
     if found != dataset.content_hash:
         raise FormatError("content hash does not fit the episode digests", where=where,
                           expected=dataset.content_hash, found=found,
@@ -278,9 +287,9 @@ def _read_stats(group: h5py.Group, where: str) -> tables.Stats:
 
 
 def _read_tta(
-    name: str, group: h5py.Group, sizes: dict[str, int], where: str, arrays: _Arrays
+    name: str, group: h5py.Group, sizes: dict[str, int] | None, where: str, arrays: _Arrays
 ) -> tables.TtaSet:
-    own = {letter: sizes[letter] for letter in "DA"}
+    own = None if sizes is None else {letter: sizes[letter] for letter in "DA"}
     for key, columns in layout.TTA_GROUPS.items():
         layout.check_group(group[key] if key else group, columns, own, where)
     return tables.TtaSet(
