@@ -44,6 +44,7 @@ class Quality(IntEnum):
     CALIBRATION = 9
     PRETRAINING = 10
     GOALS = 11
+    REFERENCE_CONSTANT = 12
 
 
 @dataclass(frozen=True)

@@ -56,5 +56,7 @@ def test_stored_codes_never_change() -> None:
         "EVALUATION": 8,
         "CALIBRATION": 9,
         "PRETRAINING": 10,
+        "GOALS": 11,
+        "REFERENCE_CONSTANT": 12,
     }
     assert [int(stream) for stream in Stream] == [0, 1, 2, 3]

@@ -25,6 +25,7 @@ import tyro
 from mpdt.data.verbs.cutting import Split
 from mpdt.data.verbs.look import Info, List, Show
 from mpdt.data.verbs.make import Calibrate, Collect, Plans, Pretrain
+from mpdt.data.verbs.measure import Measure
 from mpdt.data.verbs.options import Options
 from mpdt.errors import MpdtError, unknown_name
 
@@ -36,6 +37,7 @@ VERBS: dict[str, type[Options]] = {
     "split": Split,
     "pretrain": Pretrain,
     "calibrate": Calibrate,
+    "reference": Measure,
     "info": Info,
 }
 DESCRIPTION = """Make, cut and look at datasets.

@@ -119,6 +119,12 @@ def scene_of(family: Family, task: Task) -> str:
     return f"{family.robot}/{family.reward}/{goal}"
 
 
+def place_of(spec: DatasetSpec, task: Task, horizon: int) -> Place:
+    """Where a task of a spec stands in the record, at any horizon."""
+    env = canonical_json(spec.env).decode()
+    return (scene_of(get_family(spec.family), task), horizon, env)
+
+
 def constant_names(action_size: int) -> list[str]:
     """Names of the candidates of `constants.constant_actions`, in its order."""
     axes = range(action_size)
@@ -140,11 +146,10 @@ def find_records(
     Raises: DataError for a file that is no record of references; StorageError.
     """
     shipped, local = load_shipped(), load_local(folder)
-    family = get_family(spec.family)
-    env = canonical_json(spec.env).decode()
+    candidates = constant_names(get_family(spec.family).action_size)
     records = {}
     for task in spec.resolve_tasks():
-        place = (scene_of(family, task), spec.horizon, env)
+        place = place_of(spec, task, spec.horizon)
         found: dict[str, Reference] = {}
         sources: tuple[tuple[Source, dict[Place, Entry]], ...]
         sources = (("shipped", shipped), ("local", local))
@@ -154,7 +159,6 @@ def find_records(
         if not found:
             continue
         names = {"zero": "zero", "random": "random", "expert": expert_name(ladder, task)}
-        candidates = constant_names(family.action_size)
         records[task.name] = Record(
             {name: found[key] for name, key in names.items() if key in found},
             tuple(found[key] for key in candidates) if set(candidates) <= set(found) else (),

@@ -48,6 +48,17 @@ def split_names(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for word in names for name in word.split(",") if name)
 
 
+def split_steps(names: Sequence[str], where: str) -> tuple[int, ...]:
+    """`200,500` as episode lengths. Raises: UsageError for what is no length."""
+    from mpdt.errors import UsageError
+
+    found = split_names(names)
+    if wrong := [name for name in found if not name.isdigit() or int(name) == 0]:
+        raise UsageError("not an episode length", where=where,
+                         expected="steps, such as 200,500", found=wrong[0])  # fmt: skip
+    return tuple(int(name) for name in found)
+
+
 def text_table(rows: Sequence[Sequence[str]], numbers_from: int = 1) -> str:
     """Rows as aligned columns, the first row a heading; right-aligned from `numbers_from` on."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
