@@ -57,10 +57,11 @@ def map_blocks_ray(
         task = ray.remote(num_cpus=1, max_retries=RETRIES, retry_exceptions=False)(_work)
         cores = int(ray.cluster_resources().get("CPU", 1))
         waiting = iter(items)
-        flying = [
-            task.remote(run, [shared], item)
-            for item in itertools.islice(waiting, PER_CORE * max(1, cores))
-        ]
+
+        def start(count: int) -> list[Any]:
+            return [task.remote(run, [shared], item) for item in itertools.islice(waiting, count)]
+
+        flying = start(PER_CORE * max(1, cores))
         try:
             while flying:
                 (done, *_), flying = ray.wait(flying, num_returns=1)
