@@ -23,6 +23,7 @@ from typing import Annotated, Any, NoReturn, Union
 import tyro
 
 from mpdt.data.verbs.cutting import Split
+from mpdt.data.verbs.exchange import Export, Import
 from mpdt.data.verbs.look import Info, List, Show
 from mpdt.data.verbs.make import Calibrate, Collect, Plans, Pretrain
 from mpdt.data.verbs.measure import Measure
@@ -35,6 +36,8 @@ VERBS: dict[str, type[Options]] = {
     "plan": Plans,
     "collect": Collect,
     "split": Split,
+    "import": Import,
+    "export": Export,
     "pretrain": Pretrain,
     "calibrate": Calibrate,
     "reference": Measure,

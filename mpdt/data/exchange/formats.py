@@ -1,0 +1,59 @@
+"""The formats: which can be read, which written, and what each of them loses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mpdt.data.exchange import mtdiff, promptdt
+from mpdt.data.exchange.folder import appearing
+from mpdt.data.exchange.incoming import Incoming
+from mpdt.data.exchange.selection import Selection
+from mpdt.data.exchange.treatment import Rules
+from mpdt.errors import unknown_name
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format.
+
+    Args:
+        read: paths, rules (None for a format that describes itself) and a name for the file.
+        write: a selection into an empty folder.
+        lost: what an export leaves out; "" = importing it again gives the same content hash.
+    """
+
+    read: Callable[[Sequence[Path], Rules | None, str], Incoming] | None
+    write: Callable[[Selection, Path], None] | None
+    lost: str = ""
+
+
+FORMATS: dict[str, Format] = {
+    "promptdt": Format(promptdt.read, promptdt.write, promptdt.LOST),
+    "mtdiff": Format(mtdiff.read, None),
+}
+
+
+def read(name: str, paths: Sequence[Path], rules: Rules | None, file_name: str) -> Incoming:
+    """What the files hold, ready for `incoming.store`.
+
+    Raises: UsageError for an unknown format; otherwise as the format's own `read`.
+    """
+    readers = {key: known.read for key, known in FORMATS.items() if known.read}
+    if name not in readers:
+        raise unknown_name("format", name, readers, where="--from")
+    return readers[name](paths, rules, file_name)
+
+
+def write(name: str, selection: Selection, target: Path) -> str:
+    """Export to a new folder `target`; returns what the format has no room for.
+
+    Raises: UsageError for an unknown format; DataError if `target` exists; StorageError.
+    """
+    writers = {key: known.write for key, known in FORMATS.items() if known.write}
+    if name not in writers:
+        raise unknown_name("format", name, writers, where="--to")
+    with appearing(target) as folder:
+        writers[name](selection, folder)
+    return FORMATS[name].lost

@@ -1,0 +1,55 @@
+"""MTDiff's Meta-World prompts: `<task>-v2_prompt.npy`, an object array of ten episodes (in only).
+
+A dict per episode, as in Prompt-DT's pickles; `terminals` are floats, 1.0 on the last row, a
+time limit. The goal is visible in columns 36:39 and some actions are as the script gave them,
+beyond the bounds. The goal that the simulator was reset with is not in the file: unknown.
+
+Source: the public repository of MTDiff (He et al. 2023), folder metaworld_prompts.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+from mpdt.data.exchange import foreign
+from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.foreign import Source, quality_code
+from mpdt.data.exchange.incoming import Incoming
+from mpdt.data.exchange.promptdt import raw_episode
+from mpdt.data.exchange.treatment import RawEpisode, Rules
+from mpdt.data.exchange.unpickle import load_object_array
+from mpdt.errors import UsageError
+
+_NAME = re.compile(r"(?P<task>.+)-v\d_prompt\.npy")
+
+
+def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
+    """The prompts of those tasks that the family has; others are skipped with a remark.
+
+    Raises: UsageError for a family of another simulator; FormatError, DataError, ShapeError
+        naming file and episode.
+    """
+    rules = foreign.given(rules)
+    if rules.family.robot != "sawyer":
+        raise UsageError(f"{rules.family.name} is not of Meta-World", where="--family",
+                         hint="ml10, ml45, mt10 or mt50")  # fmt: skip
+    known = {task.name: task for task in rules.family.tasks}
+    quality = quality_code(rules.quality or "unknown")
+    sources, remarks = [], []
+    for path in files_below(paths, ".npy"):
+        match = _NAME.fullmatch(path.name)
+        task = rules.task or (match["task"] if match else "")
+        if task in known:
+            sources.append(Source(path, known[task], quality, partial(_episodes, path)))
+        else:
+            reason = f"no task of {rules.family.name}" if match else "not <task>-v2_prompt.npy"
+            remarks.append(f"skipped {path}: {reason}")
+    return foreign.incoming(sources, rules, name, remarks)
+
+
+def _episodes(path: Path) -> Iterator[RawEpisode]:
+    for number, episode in enumerate(load_object_array(path)):
+        yield raw_episode(episode, None, f"{path}: episode {number}")

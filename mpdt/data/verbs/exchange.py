@@ -1,0 +1,153 @@
+"""Verbs that share data: import and export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
+
+from mpdt.data.verbs.options import Options
+
+if TYPE_CHECKING:
+    from mpdt.data.exchange.treatment import Rules
+    from mpdt.data.store.dataset import Dataset
+    from mpdt.data.store.tables import Additions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Import(Options):
+    """Bring data of another format into a dataset file; several sources become one file.
+
+    Everything is checked, and a pickle cannot run code. What a source does not say about its
+    origin stays unknown.
+
+    Examples:
+      mpdt-data import prompt-dt/ --from promptdt --family cheetah_vel -o vel.h5
+      mpdt-data import metaworld_prompts/ --from mtdiff --family ml10 --hide-goal -o ml10-mtdiff.h5
+      mpdt-data import cheetah_dir-npz --from npz -o cheetah_dir.h5
+    """
+
+    sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SRC...")]
+    """Files, or folders to look for them in."""
+    format: Annotated[str, arg(name="from", metavar="FMT")]
+    """minari, parquet, npz, d4rl, promptdt or mtdiff."""
+    output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
+    """File to write; nothing is replaced."""
+    family: Annotated[str | None, arg(metavar="F")] = None
+    """Family of the tasks; our own exports know it."""
+    task: Annotated[str | None, arg(metavar="NAME")] = None
+    """Task of all episodes, where the sources do not say."""
+    quality: Annotated[str | None, arg(metavar="Q")] = None
+    """Quality of all episodes, whatever the sources say."""
+    horizon: Annotated[int | None, arg(metavar="STEPS")] = None
+    """Time limit of the episodes; default: the family's."""
+    clip_actions: bool = False
+    """Clip actions to the bounds, as the simulator does, instead of refusing them."""
+    hide_goal: bool = False
+    """Set the columns to 0 in which the family hides the goal."""
+    license: Annotated[str, arg(metavar="SPDX")] = "NOASSERTION"
+    """Licence of the sources."""
+
+    def run(self) -> None:
+        from mpdt.data.exchange import formats, incoming
+
+        found = formats.read(self.format, self.sources, self._rules(), self.output.stem)
+        dataset = incoming.store(found, self.output, additions)
+        for remark in found.remarks:
+            self.say(remark)
+        result = {
+            "path": str(dataset.path),
+            "episodes": dataset.num_episodes,
+            "steps": dataset.num_steps,
+            "content_hash": dataset.content_hash,
+            "remarks": list(found.remarks),
+        }
+        self.print(
+            result,
+            f"{dataset.path}   {dataset.num_episodes:,} episodes   {dataset.num_steps:,} steps   "
+            f"content {dataset.content_hash[:8]}",
+        )
+
+    def _rules(self) -> Rules | None:
+        from mpdt.data.exchange.foreign import quality_code
+        from mpdt.data.exchange.treatment import Rules
+        from mpdt.data.spec.tasks import get_family
+
+        if self.quality is not None:
+            quality_code(self.quality)
+        if self.family is None:
+            return None
+        family = get_family(self.family)
+        if self.task is not None:
+            family.task(self.task)
+        return Rules(
+            format=self.format, family=family,
+            horizon=family.horizon if self.horizon is None else self.horizon,
+            task=self.task, quality=self.quality, clip_actions=self.clip_actions,
+            hide_goal=self.hide_goal, license=self.license,
+        )  # fmt: skip
+
+
+def additions(dataset: Dataset) -> Additions:
+    """The slices and statistics every file of ours has."""
+    from mpdt.data.slices.standard import standard_slices
+    from mpdt.data.slices.stats import compute_stats
+    from mpdt.data.store.tables import Additions
+
+    trained = set(dataset.episodes.task.tolist()) & set(dataset.tasks.train_rows)
+    stats = compute_stats(dataset) if trained else None
+    return Additions(slices=standard_slices(dataset), stats=stats)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export(Options):
+    """Write a dataset file, or a slice of it, in a format of other libraries.
+
+    minari, parquet and npz lose no episode data: importing them again gives the same content
+    hash. TTA sets and named slices stay behind in all formats.
+
+    Examples:
+      mpdt-data export cheetah_dir.h5 --to minari -o datasets
+      mpdt-data export ml10.h5:expert --to parquet
+      mpdt-data export cheetah_vel.h5 --to promptdt -o prompt-dt
+    """
+
+    file: Annotated[Positional[str], arg(metavar="FILE[:SLICE]")]
+    format: Annotated[str, arg(name="to", metavar="FMT")]
+    """minari, parquet, npz, lerobot, d4rl or promptdt."""
+    slice: Annotated[str | None, arg(metavar="S")] = None
+    """Only this slice; the same as FILE:S."""
+    output: Annotated[Path | None, arg(aliases=["-o"], metavar="FOLDER")] = None
+    """Folder to write; default FILE-FMT. Nothing is replaced."""
+
+    def run(self) -> None:
+        from mpdt.data.exchange import formats
+        from mpdt.data.exchange.selection import Selection
+        from mpdt.data.store.reader import open_dataset, parse_ref
+        from mpdt.errors import DataError, UsageError
+
+        path, name = parse_ref(self.file)
+        if name and self.slice:
+            raise UsageError("two slices", where=self.file, hint="leave out --slice")
+        dataset = open_dataset(path)
+        chosen = Selection(dataset, dataset.select(slice=name or self.slice))
+        if not len(chosen.ids):
+            raise DataError("an empty slice", where=self.file)
+        target = self.output or Path(f"{path.stem}-{self.format}")
+        lost = formats.write(self.format, chosen, target)
+        if lost:
+            self.say(f"not in a {self.format} export: {lost}")
+        result = {
+            "path": str(target),
+            "episodes": len(chosen.ids),
+            "steps": chosen.num_steps,
+            "content_hash": chosen.content_hash,
+            "lost": lost,
+        }
+        self.print(
+            result,
+            f"{target}   {len(chosen.ids):,} episodes   {chosen.num_steps:,} steps   "
+            f"content {chosen.content_hash[:8]}",
+        )
