@@ -56,9 +56,11 @@ class PretrainSettings:
 
 SETTINGS: dict[str, PretrainSettings] = {
     "cheetah_dir": PretrainSettings(steps=12_000_000),
-    "cheetah_vel": PretrainSettings(steps=16_000_000),
+    "cheetah_vel": PretrainSettings(steps=16_000_000, judge_episodes=4, judge_noise=0.05),
     # Half the squared action is charged, so wide exploration drowns the gain of walking.
-    "ant_dir": PretrainSettings(steps=6_000_000, log_std_init=-1.0, judge_noise=0.05),
+    "ant_dir": PretrainSettings(
+        steps=6_000_000, log_std_init=-1.0, judge_episodes=8, judge_noise=0.05
+    ),
 }
 
 
