@@ -39,7 +39,7 @@ class EvaluationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     max_rows: int = 128
     """Simulators held in memory at once; a Meta-World one takes about 21 MiB."""
     constants: bool = True
-    """Measure the best task-blind constant action for the table."""
+    """Run the best task-blind constant action, which the file holds, for the table."""
 
     def __post_init__(self) -> None:
         for name, least in (("episodes", 1), ("horizon", 0), ("max_rows", 1), ("seed", 0)):
@@ -209,9 +209,3 @@ def evaluate(
 
 def _first_bad(actions: NDArray[np.float32]) -> int:
     return int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
-
-
-def constant_actions(action_size: int) -> NDArray[np.float32]:
-    """The small fixed set the constant row is chosen from: zero, then +-1 along each axis."""
-    axes = np.eye(action_size, dtype=np.float32)
-    return np.concatenate([np.zeros((1, action_size), np.float32), axes, -axes])

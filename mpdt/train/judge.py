@@ -3,13 +3,12 @@
 training tasks   zero, random, best constant, expert | the method, each task behind its own prompt
 test tasks       zero, random, best constant, expert | every candidate of `unseen.py`
 
-All but the expert are run here, on the same seeds. The expert is the stored one: its mean and
-its episodes in the file, where the horizon is the same.
+All but the expert are run here, on the same seeds; the constant action is the one in the file.
+The expert is the reference in the file, where the horizon is the same.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -18,13 +17,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from mpdt.data.reference import UNKNOWN, Reference
 from mpdt.train.evaluate import (
     ConstantController,
     Controller,
     Evaluation,
     SimulatorCache,
     UniformController,
-    constant_actions,
     evaluate,
 )
 from mpdt.train.results import (
@@ -35,7 +34,6 @@ from mpdt.train.results import (
     Reads,
     Score,
     expert_scores,
-    normalised,
     not_measured,
     scores_of,
     with_verdicts,
@@ -55,7 +53,7 @@ class Judge:
     def scores(self) -> list[Score]:
         """All rows of the final table. Raises: Stopped after a signal."""
         material, config = self.trainer.material, self.trainer.config
-        constant = self._best_constant() if config.evaluation.constants else None
+        constant = self._constant_action() if config.evaluation.constants else None
         unseen = UnseenTasks(self.trainer, self.trained)
         with torch.no_grad():
             prompts = self.trained.prompts.task_prompts()
@@ -105,18 +103,27 @@ class Judge:
         result = self._evaluate(
             f"{block}: {method}", rows, controller, settings.episodes, settings.seed
         )
-        random, expert = self._reference("random", rows), self._reference("expert", rows)
+        random, expert = self._means("random", rows), self._means("expert", rows)
         return scores_of(
             block, method, result.tasks, result.returns, result.successes, random, expert, reads
         )
 
-    def _reference(self, name: str, rows: Sequence[int]) -> NDArray[np.float64]:
-        """Mean returns (n,) stored in the file; nan where the horizon judged here is another."""
-        column: NDArray[np.float64] = getattr(self.trainer.material.dataset.tasks, f"ref_{name}")
+    def _stored(self, name: str, rows: Sequence[int]) -> list[Reference]:
+        """References (n,) of the file; unknown where the horizon judged here is another."""
+        references = self.trainer.material.dataset.tasks.references
         horizon = self.trainer.config.evaluation.horizon
         if horizon not in (0, self.trainer.material.horizon):
-            return np.full(len(rows), math.nan)
-        return column[list(rows)]
+            return [UNKNOWN] * len(rows)
+        return [references[row][name] for row in rows]
+
+    def _means(self, name: str, rows: Sequence[int]) -> NDArray[np.float64]:
+        return np.array([reference.mean for reference in self._stored(name, rows)])
+
+    def _constant_action(self) -> NDArray[np.float32] | None:
+        """The family's best constant action, chosen on training tasks when the file was made."""
+        tasks = self.trainer.material.dataset.tasks
+        actions = {references.constant_action for references in tasks.references}
+        return np.array(actions.pop(), np.float32) if len(actions) == 1 and any(actions) else None
 
     def _references(
         self, block: Block, rows: Sequence[int], constant: NDArray[np.float32] | None
@@ -133,32 +140,5 @@ class Judge:
             scores += [msgspec.structs.replace(score, method=CONSTANT) for score in zero]
         else:
             scores += self._score(block, CONSTANT, rows, ConstantController(constant))
-        dataset = material.dataset
-        ids = [dataset.select(task=row, quality="expert") for row in rows]
-        return scores + expert_scores(
-            block, names, self._reference("expert", rows),
-            [dataset.episodes.returns[of_task] for of_task in ids],
-            [dataset.episodes.success[of_task] for of_task in ids] if family.has_success else None,
-            self._reference("random", rows),
-        )  # fmt: skip
-
-    def _best_constant(self) -> NDArray[np.float32]:
-        """The constant action that does best on the *training* tasks, by normalised return.
-
-        One episode per task and candidate, on seeds apart from those of the table.
-        """
-        rows, seed = self.trainer.material.train_rows, self.trainer.config.evaluation.seed + 1
-        random, expert = self._reference("random", rows), self._reference("expert", rows)
-        levels = []
-        candidates = constant_actions(self.trainer.material.family.action_size)
-        for i, action in enumerate(candidates):
-            self.trainer.progress.update("constants", i, len(candidates))
-            result = self._evaluate("", rows, ConstantController(action), 1, seed)
-            means = result.returns.mean(axis=1)
-            scores = zip(means, random, expert, strict=True)
-            level = np.mean([normalised(*map(float, row)) for row in scores])
-            # Without references of this horizon the plain mean has to do.
-            levels.append(level if math.isfinite(level) else means.mean())
-        self.trainer.progress.update("constants", len(candidates), len(candidates))
-        best: NDArray[np.float32] = candidates[int(np.argmax(levels))]
-        return best
+        experts = self._stored("expert", rows)
+        return scores + expert_scores(block, names, experts, self._means("random", rows))

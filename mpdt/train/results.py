@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.data.reference import Reference
 from mpdt.errors import StorageError
 
 RESAMPLES = 2000
@@ -42,7 +43,7 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Mean return, the task's own unit; nan = not measured."""
     low: float
     high: float
-    """95 % bootstrap interval; nan where only a mean is known (an expert that is not stored)."""
+    """95 % interval over seeds, or of a reference by its error; nan where only a mean is known."""
     normalised: float
     """(return - random) / (expert - random)."""
     success: float | None = None
@@ -113,31 +114,32 @@ def scores_of(
 def expert_scores(
     block: Block,
     tasks: Sequence[str],
-    means: NDArray[np.float64],
-    returns: Sequence[NDArray[np.float64]],
-    successes: Sequence[NDArray[np.bool_]] | None,
+    experts: Sequence[Reference],
     random: NDArray[np.float64],
 ) -> list[Score]:
-    """The expert of the data: it is not run again, its stored episodes give the interval.
+    """The expert of the data: the reference in the file, which is not run again.
+
+    Its interval is 1.96 standard errors to both sides: there are hundreds of episodes behind
+    it. Errors of tasks are independent, so that of a mean over n is sqrt(sum of squares) / n.
 
     Args:
-        means: (n,) reference returns of the file; nan = not measured at this horizon.
-        returns, successes: per task, of the expert episodes in the file; may be empty.
+        experts: one per task; unknown = not measured at this horizon.
+        random: (n,) mean returns of the file.
     """
-    known = [np.isfinite(means[i]) and len(returns[i]) > 0 for i in range(len(tasks))]
+    means, errors = (
+        np.array([getattr(expert, name) for expert in experts]) for name in ("mean", "error")
+    )
     groups = [(task, [i]) for i, task in enumerate(tasks)]
     scores = []
     for task, rows in [*groups, (MEAN, list(range(len(tasks))))]:
-        low, high, share = math.nan, math.nan, None
-        if all(known[i] for i in rows):
-            low, high = bootstrap([returns[i] for i in rows])
-            if successes is not None:
-                share = float(np.mean([successes[i].mean() for i in rows]))
+        mean = float(means[rows].mean())
+        margin = 1.96 * float(np.sqrt((errors[rows] ** 2).sum())) / len(rows)
+        shares = [success for i in rows if (success := experts[i].success) is not None]
         levels = [normalised(float(means[i]), float(random[i]), float(means[i])) for i in rows]
-        episodes = sum(len(returns[i]) for i in rows if known[i])
-        scores.append(Score(block=block, task=task, method=EXPERT, low=low, high=high,
-                            mean=float(np.mean(means[rows])), normalised=float(np.mean(levels)),
-                            success=share, num_episodes=episodes))  # fmt: skip
+        scores.append(Score(block=block, task=task, method=EXPERT, mean=mean, low=mean - margin,
+                            high=mean + margin, normalised=float(np.mean(levels)),
+                            success=float(np.mean(shares)) if len(shares) == len(rows) else None,
+                            num_episodes=sum(experts[i].episodes for i in rows)))  # fmt: skip
     return scores
 
 

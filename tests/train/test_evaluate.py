@@ -15,7 +15,6 @@ from mpdt.train.evaluate import (
     EvaluationSettings,
     SimulatorCache,
     UniformController,
-    constant_actions,
     evaluate,
 )
 
@@ -143,10 +142,6 @@ def test_random_rows_do_not_depend_on_the_batch():
     whole, chunked = run(acting), run(acting, max_rows=3)
     np.testing.assert_array_equal(whole.returns, chunked.returns)
     assert len(set(whole.returns.ravel())) == 4, "every row draws its own actions"
-
-
-def test_constant_actions_by_hand():
-    assert constant_actions(2).tolist() == [[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]]
 
 
 def test_the_cache_builds_once_and_again_for_other_tasks():

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 
+from mpdt.data.reference import References
 from mpdt.model.prompts import AdaptedPrompts, PromptSettings, SharedPrompt
 from mpdt.model.returns import ReturnTable
 from mpdt.train import judge, unseen
@@ -81,11 +82,11 @@ class Played:
 
 @pytest.fixture
 def played(monkeypatch):
-    """`best constant` is candidate 0 (zero action) unless a test says otherwise."""
+    """`best constant` is zero action unless a test says otherwise."""
     fake = Played()
     monkeypatch.setattr(judge, "evaluate", fake)
     monkeypatch.setattr(ConstantController, "act", lambda self, _: self._action)
-    monkeypatch.setattr(Judge, "_best_constant", lambda self: np.zeros(6, np.float32))
+    monkeypatch.setattr(Judge, "_constant_action", lambda self: np.zeros(6, np.float32))
     monkeypatch.setattr(UnseenTasks, "controller", lambda self, *_: SimpleNamespace())
     monkeypatch.setattr(UnseenTasks, "_statistics", lambda self: None)
     monkeypatch.setattr(UnseenTasks, "_adapt", lambda self, *_: None)
@@ -124,13 +125,23 @@ def test_other_test_tasks_are_run_by_themselves(judged, played, monkeypatch):
     assert ("zero", ("forward",)) in played.runs and ("zero", ("backward",)) in played.runs
 
 
-def test_the_expert_has_its_stored_mean_and_the_interval_of_its_episodes(judged):
-    """Four episodes of 18, 21, 24, 27 in each task; the file's references say 9 and 8."""
+def test_the_constant_action_is_the_one_in_the_file(tiny_file):
+    subject = make_judge(tiny_file)
+    assert subject._constant_action().tolist() == [0, 1, 0, 0, 0, 0]
+    material = subject.trainer.material
+    tasks = material.dataset.tasks
+    unknown = replace(tasks, references=tuple(References(r.by_name) for r in tasks.references))
+    subject.trainer.material = replace(material, dataset=replace(material.dataset, tasks=unknown))
+    assert subject._constant_action() is None
+
+
+def test_the_expert_is_the_reference_in_the_file(judged):
+    """9 and 8, known to 0.5 from 16 episodes each."""
     for block in ("train", "test"):
         expert = {s.task: s for s in judged() if s.method == "expert" and s.block == block}
         assert (expert["forward"].mean, expert["backward"].mean) == (9.0, 8.0)
-        assert expert["forward"].num_episodes == 4 and expert[MEAN].num_episodes == 8
-        assert 18.0 <= expert["forward"].low < 22.5 < expert["forward"].high <= 27.0
+        assert expert["forward"].num_episodes == 16 and expert[MEAN].num_episodes == 32
+        assert expert["forward"].high == 9.0 + 1.96 * 0.5
         assert expert["forward"].success is None, "the cheetah has no success"
 
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from mpdt.data.reference import UNKNOWN, Reference
 from mpdt.errors import StorageError
 from mpdt.train.results import (
     EXPERT,
@@ -66,31 +67,28 @@ def test_bootstrap_of_tasks_with_other_numbers_of_episodes():
 
 
 def test_the_expert_by_hand():
-    """Mean as the file says, interval and success from the stored episodes; b has none."""
-    a, b, mean = expert_scores(
-        "test", ["a", "b"], np.array([21.0, 40.0]), [np.array([20.0, 24.0]), np.zeros(0)],
-        [np.array([True, False]), np.zeros(0, bool)], random=np.array([1.0, 40.0]),
-    )  # fmt: skip
-    assert (a.method, a.mean, a.low, a.high, a.success) == (EXPERT, 21.0, 20.0, 24.0, 0.5)
-    assert (a.normalised, a.num_episodes) == (1.0, 2)
-    assert (b.mean, b.success, b.num_episodes) == (40.0, None, 0)
-    assert np.isnan([b.low, b.high, b.normalised, mean.low, mean.normalised]).all()
-    assert (mean.task, mean.mean, mean.success) == (MEAN, 30.5, None)
+    """Intervals of 1.96 errors: 21 +- 1.96 and 40 +- 3.92; success of b was never counted.
+
+    Mean over tasks 30.5, its error sqrt(1 + 4) / 2.
+    """
+    experts = [Reference(21.0, 1.0, 100, 0.5), Reference(40.0, 2.0, 50)]
+    a, b, mean = expert_scores("test", ["a", "b"], experts, random=np.array([1.0, 40.0]))
+    assert (a.method, a.mean, a.low, a.high, a.success) == (EXPERT, 21.0, 19.04, 22.96, 0.5)
+    assert (a.normalised, a.num_episodes) == (1.0, 100)
+    assert (b.mean, b.low, b.high, b.success) == (40.0, 36.08, 43.92, None)
+    assert np.isnan([b.normalised, mean.normalised]).all(), "random is as good as the expert"
+    assert (mean.task, mean.mean, mean.success, mean.num_episodes) == (MEAN, 30.5, None, 150)
+    assert mean.high - mean.mean == pytest.approx(1.96 * 5**0.5 / 2)
 
 
-def test_the_expert_of_all_tasks_by_hand():
-    """Means over tasks: (21 + 5) / 2, (20..24 + 5) / 2, success (1/2 + 1) / 2."""
-    *_, mean = expert_scores(
-        "train", ["a", "b"], np.array([21.0, 5.0]), [np.array([20.0, 24.0]), np.array([5.0])],
-        [np.array([True, False]), np.array([True])], random=np.zeros(2),
-    )  # fmt: skip
-    assert (mean.mean, mean.low, mean.high, mean.success) == (13.0, 12.5, 14.5, 0.75)
-    assert (mean.normalised, mean.num_episodes) == (1.0, 3)
+def test_an_expert_whose_error_is_not_known_has_no_interval():
+    one, mean = expert_scores("train", ["a"], [Reference(3.0, np.nan, 1)], np.zeros(1))
+    for score in (one, mean):
+        assert score.mean == 3.0 and np.isnan([score.low, score.high]).all()
 
 
 def test_the_expert_of_another_horizon_is_not_measured():
-    nan = np.full(1, np.nan)
-    one, mean = expert_scores("train", ["a"], nan, [np.ones(2)], [np.ones(2, bool)], nan)
+    one, mean = expert_scores("train", ["a"], [UNKNOWN], np.full(1, np.nan))
     for score in (one, mean):
         assert np.isnan([score.mean, score.low, score.normalised]).all()
         assert score.success is None and score.num_episodes == 0
