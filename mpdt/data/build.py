@@ -18,25 +18,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from mpdt.data.engine import Engine, Processes, decisive_versions
 from mpdt.data.episode import PolicyInfo
 from mpdt.data.levels import check_levels, measure_levels
-from mpdt.data.locking import MACHINE, LockKeeper, plain_spec
+from mpdt.data.locking import LockKeeper, plain_spec
 from mpdt.data.pack import pack
 from mpdt.data.parts import PartsFolder
 from mpdt.data.plan import Block, Plan, make_plan
 from mpdt.data.runner import BlockReport, BlockRunner, Gap, report_part
-from mpdt.data.sim.engines import default_workers, map_blocks
 from mpdt.data.sim.ladder import load_ladder
 from mpdt.data.sim.references import find_records
 from mpdt.data.spec.claim import changed_keys
 from mpdt.data.spec.entry import DatasetSpec, canonical_json
-from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
-from mpdt.errors import BusyError, DataError, FormatError, StorageError, UsageError
-
-# What the bytes of a block depend on beside the spec; parts of other versions never mix.
-PACKAGES = ("mpdt", "python", "numpy", "mujoco", "metaworld")
+from mpdt.errors import BusyError, DataError, FormatError, StorageError
 
 
 @dataclass(frozen=True)
@@ -66,7 +62,6 @@ class Collected:
 
     dataset: Dataset
     is_new: bool
-    num_workers: int = 0
     resumed_blocks: int = 0
     warnings: list[str] = field(default_factory=list)
     lock: str = ""
@@ -77,6 +72,7 @@ def collect(
     target: Path,
     *,
     workers: int | None = None,
+    engine: Engine | None = None,
     restart: bool = False,
     lock: LockKeeper | None = None,
     on_progress: OnProgress | None = None,
@@ -84,10 +80,11 @@ def collect(
     """Make the file of `spec` at `target`, or go on with an interrupted collection.
 
     The content depends on the spec, the package versions, the CPU type and the behaviour
-    weights only: not on `workers`, interruptions or order.
+    weights only: not on the engine, interruptions or order.
 
     Args:
         workers: processes; None = one per core, 0 = in this process.
+        engine: somebody else who does the blocks, such as a Ray cluster.
         restart: ignore and delete what an earlier run left, and replace a finished file.
         lock: the lock file to compare with and to write to; None = there is none.
         on_progress: called once at the start and after every block.
@@ -97,12 +94,11 @@ def collect(
         collector holds the target; StorageError; SpecError; SimulatorError. Finished blocks
         are kept in every case.
     """
-    if workers is not None and workers < 0:
-        raise UsageError("a negative number of workers", found=str(workers))
+    engine = engine or Processes(workers)
     if lock is None:
-        return _collect(spec, target, workers, restart, None, on_progress)
+        return _collect(spec, target, engine, restart, None, on_progress)
     lock.before(spec)
-    done = _collect(spec, target, workers, restart, lock.approve, on_progress)
+    done = _collect(spec, target, engine, restart, lock.approve, on_progress)
     if not done.is_new:
         lock.approve(done.dataset)
     note, warnings = lock.after(done.dataset)
@@ -112,7 +108,7 @@ def collect(
 def _collect(
     spec: DatasetSpec,
     target: Path,
-    workers: int | None,
+    engine: Engine,
     restart: bool,
     approve: Callable[[Dataset], None] | None,
     on_progress: OnProgress | None,
@@ -132,13 +128,12 @@ def _collect(
             folder.delete()
             return Collected(finished, is_new=False)
         folder.agree(describe_plan(plan))
-        size = default_workers() if workers is None else workers
-        reports, resumed = _run_missing(plan, folder, size, on_progress or (lambda _: None))
+        reports, resumed = _run_missing(plan, folder, engine, on_progress or (lambda _: None))
         levels = measure_levels(plan, reports)
         warnings = check_levels(plan, levels, str(folder.path))
         dataset = pack(plan, folder, reports, policies, levels, approve)
         folder.delete()
-    return Collected(dataset, True, size, resumed, warnings)
+    return Collected(dataset, True, resumed, warnings)
 
 
 def find_finished(plan: Plan, target: Path, policies: Sequence[PolicyInfo]) -> Dataset | None:
@@ -179,14 +174,12 @@ def find_finished(plan: Plan, target: Path, policies: Sequence[PolicyInfo]) -> D
 
 def describe_plan(plan: Plan) -> dict[str, Any]:
     """Content of plan.json: what decides the bytes of the parts, but for who acts in them."""
-    versions, machine = provenance.packages(), provenance.machine()
     # Neither decides a byte of a part, and a version that claimed too much can be raised.
     spec = {k: v for k, v in plain_spec(plan.spec).items() if k not in ("version", "license")}
     return {
         "spec": spec,
         "spec_hash": hashlib.sha256(canonical_json(spec)).hexdigest(),
-        "packages": {name: versions[name] for name in PACKAGES if name in versions},
-        "machine": {name: machine[name] for name in MACHINE},
+        "versions": decisive_versions(),
         # Which references are on record may change between two runs, and changes no part.
         "blocks": [block.label for block in plan.blocks if block.kind != "reference"],
     }
@@ -218,7 +211,7 @@ def check_space(plan: Plan, target: Path) -> None:
 
 
 def _run_missing(
-    plan: Plan, folder: PartsFolder, workers: int, on_progress: OnProgress
+    plan: Plan, folder: PartsFolder, engine: Engine, on_progress: OnProgress
 ) -> tuple[list[BlockReport], int]:
     """Reports of all blocks, and how many of them an earlier run had finished."""
     reports: list[BlockReport] = []
@@ -251,7 +244,7 @@ def _run_missing(
 
     tell(None)
     # Closed at once on an interrupt: no worker writes a part after its lock is gone.
-    with closing(map_blocks(BlockRunner(plan, folder), missing, workers)) as results:
+    with closing(engine.reports(plan, folder, missing)) as results:
         for report in results:
             reports.append(report)
             tell(report.block)

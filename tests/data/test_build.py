@@ -24,6 +24,7 @@ from mpdt.data.plan import make_plan
 from mpdt.data.reference import Reference, References
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.spec.entry import smoke as smoke_of
+from mpdt.data.store import provenance
 from mpdt.data.store.reader import open_dataset, open_tta_rewards
 from mpdt.errors import BusyError, DataError, StorageError, UsageError
 from mpdt.seeding import SeedKey
@@ -115,7 +116,7 @@ def test_parts_are_gone_and_nothing_else_is_left(tiny_file: Path, workplace: Pat
 def test_a_finished_file_is_left_alone(
     tiny_file: Path, tiny_spec: DatasetSpec, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(build, "map_blocks", None)  # would fail if anything were run
+    monkeypatch.setattr(build, "_run_missing", None)  # would fail if anything were run
     before = tiny_file.stat().st_mtime_ns
     done = collect(tiny_spec, tiny_file, workers=0)
     assert not done.is_new
@@ -230,9 +231,9 @@ def test_parts_of_another_mujoco_are_refused(
     target = tmp_path / "x.h5"
     with pytest.raises(KeyboardInterrupt):
         collect(tiny_spec, target, workers=0, on_progress=interrupt_after(1))
-    real = build.provenance.packages()
-    monkeypatch.setattr(build.provenance, "packages", lambda: real | {"mujoco": "9.9.9"})
-    with pytest.raises(DataError, match=r'packages\.mujoco .* -> "9\.9\.9"'):
+    real = provenance.packages()
+    monkeypatch.setattr(provenance, "packages", lambda: real | {"mujoco": "9.9.9"})
+    with pytest.raises(DataError, match=r'versions\.mujoco .* -> "9\.9\.9"'):
         collect(tiny_spec, target, workers=0)
 
 
