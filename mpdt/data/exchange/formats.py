@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mpdt.data.exchange import mtdiff, promptdt
+from mpdt.data.exchange import mtdiff, npz, promptdt
 from mpdt.data.exchange.folder import appearing
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.selection import Selection
@@ -30,6 +30,7 @@ class Format:
 
 
 FORMATS: dict[str, Format] = {
+    "npz": Format(npz.read, npz.write),
     "promptdt": Format(promptdt.read, promptdt.write, promptdt.LOST),
     "mtdiff": Format(mtdiff.read, None),
 }

@@ -1,0 +1,125 @@
+"""One .npz with every array (lossless). Loads with `numpy.load` alone.
+
+    row            0    1    2  |  3    4     one more row than steps per episode
+    observations  o_0  o_1  o_2 | o_0  o_1    the last one is the final observation
+    actions       a_0  a_1   0  | a_0   0     zero where there is no step
+    rewards, terminations, truncations, successes: as actions
+    valids         1    1    0  |  1    0     1 where the row is a step
+
+Beside them the columns of `episodes/` and `goals/` (lengths, qualities, seed keys, ...) and, as
+UTF-8 bytes, a manifest with tasks, policies and identity. Memory holds the whole selection.
+"""
+
+from __future__ import annotations
+
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mpdt.data.episode import Episode
+from mpdt.data.exchange.episode_table import EpisodeTable
+from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.incoming import Incoming
+from mpdt.data.exchange.manifest import KEY, Manifest, single_file
+from mpdt.data.exchange.selection import Selection
+from mpdt.data.exchange.treatment import Rules
+from mpdt.data.store.layout import EPISODES, GOALS, STEPS
+from mpdt.data.store.sources import EpisodeSource
+from mpdt.errors import FormatError
+
+Arrays = dict[str, NDArray[Any]]
+
+_PER_STEP = [column.path for column in STEPS if column.path != "observations"]
+# What numpy and zipfile raise about bytes that make no sense.
+_DAMAGE = (
+    zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, SyntaxError, ValueError,
+    TypeError, KeyError, EOFError, OSError, MemoryError, OverflowError, NotImplementedError,
+    RecursionError,
+)  # fmt: skip
+
+
+def write(selection: Selection, folder: Path) -> None:
+    """`<name>.npz` in `folder`. Raises: OSError."""
+    table, dataset = EpisodeTable.of(selection), selection.dataset
+    obs_start, lengths = table.columns["obs_start"], table.columns["length"]
+    num_rows = selection.num_steps + len(selection.ids)
+    arrays: Arrays = {
+        "observations": np.zeros((num_rows, dataset.observation_size), "<f4"),
+        "valids": np.ones(num_rows, bool),
+    }
+    for name in _PER_STEP:
+        if (column := getattr(dataset.steps, name)) is not None:
+            arrays[name] = np.zeros((num_rows, *column.shape[1:]), column.dtype)
+    for i, first, length in zip(selection.ids.tolist(), obs_start, lengths, strict=True):
+        episode = dataset.episode(i)
+        arrays["observations"][first : first + length + 1] = episode.observations
+        arrays["valids"][first + length] = False
+        for name in _PER_STEP:
+            if name in arrays:
+                arrays[name][first : first + length] = getattr(episode, name)
+    arrays |= {f"episodes/{name}": column for name, column in table.columns.items()}
+    arrays |= {f"goals/{name}": column for name, column in table.goals.items()}
+    text = Manifest.of(selection).to_json().encode()
+    arrays[KEY] = np.frombuffer(text, np.uint8)
+    np.savez(folder / f"{selection.header.name}.npz", allow_pickle=False, **arrays)
+
+
+def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
+    """An export of ours, whose content hash the result has to have.
+
+    Raises: MissingFileError; FormatError for a file that is damaged or not an export of ours.
+    """
+    path = single_file(files_below(paths, ".npz"), "an .npz file", str(paths[0]))
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {key: archive[key] for key in archive.files}
+        text = arrays[KEY].tobytes()
+    except _DAMAGE as error:
+        raise FormatError("damaged, or not an export of mpdt", where=str(path),
+                          found=f"{type(error).__name__}: {error}"[:120]) from error  # fmt: skip
+    manifest = Manifest.from_json(text, str(path))
+    episodes = {c.path: f"episodes/{c.path}" for c in EPISODES}
+    goals = {c.path: f"goals/{c.path}" for c in GOALS}
+    table = EpisodeTable(
+        {key: arrays[name] for key, name in episodes.items() if name in arrays},
+        {key: arrays[name] for key, name in goals.items() if name in arrays},
+    )
+    table.check(manifest, str(path))
+    _check_steps(arrays, manifest, str(path))
+    source = EpisodeSource(
+        _episodes(arrays, table, manifest), manifest.num_episodes, manifest.num_steps,
+        table.source_ids(),
+    )  # fmt: skip
+    return manifest.incoming(source)
+
+
+def _check_steps(arrays: Arrays, manifest: Manifest, where: str) -> None:
+    header, rows = manifest.header, manifest.num_steps + manifest.num_episodes
+    widths = {"observations": (header.observation_size,), "actions": (header.action_size,)}
+    for column in STEPS:
+        name = column.path
+        if name == "successes" and not header.has_success:
+            continue
+        found = arrays.get(name)
+        wanted = (rows, *widths.get(name, ()))
+        if found is None or found.shape != wanted or found.dtype != np.dtype(column.dtype):
+            sides = "nothing" if found is None else f"{found.dtype} of shape {found.shape}"
+            raise FormatError(f"array {name} is wrong", where=where,
+                              expected=f"{column.dtype} of shape {wanted}",
+                              found=sides)  # fmt: skip
+
+
+def _episodes(arrays: Arrays, table: EpisodeTable, manifest: Manifest) -> Iterator[Episode]:
+    first = 0
+    for i, length in enumerate(table.columns["length"].tolist()):
+        steps = {name: arrays[name][first : first + length] for name in _PER_STEP if name in arrays}
+        steps["observations"] = arrays["observations"][first : first + length + 1]
+        yield table.episode(i, manifest, steps)
+        first += length + 1
