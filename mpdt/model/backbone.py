@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from mpdt.errors import BackboneError, ShapeError
 from mpdt.model.language import DtypeName, fingerprint, pick_dtype, read_language_model
 from mpdt.model.limits import check_at_least
+from mpdt.model.lowrank import add_low_rank
 from mpdt.model.prefix import NO_PREFIX, PrefixCache
 
 
@@ -31,7 +32,8 @@ class BackboneSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Which language model, how much of it, and whether it may move."""
 
     name: str = "auto"
-    """auto, gpt2, smollm2-135m, random:SHAPE (those two, tiny, tiny-llama), a folder or hub id."""
+    """auto, gpt2, smollm2-135m, a folder or hub id, or random:SHAPE (those two, prompt-dt, tiny,
+    tiny-llama)."""
     depth: int | None = None
     """Keep only the first blocks; None keeps all."""
     dtype: Literal["auto", "float32", "bfloat16"] = "auto"
@@ -40,10 +42,14 @@ class BackboneSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Seed of the weights of a random backbone, together with its depth."""
     frozen: bool = True
     """False trains every weight (baselines that train the whole model from scratch)."""
+    lora_rank: int = 0
+    """Rank of trained additions to the attention's projections (LoRA); 0 = none."""
+    lora_alpha: float = 32.0
 
     def __post_init__(self) -> None:
         if self.depth is not None:
             check_at_least("backbone.depth", self.depth, 1)
+        check_at_least("backbone.lora_rank", self.lora_rank, 0)
 
 
 class Backbone(nn.Module):
@@ -54,7 +60,8 @@ class Backbone(nn.Module):
         width: s, the size of one token vector.
         num_layers: L, the blocks kept.
         max_positions: longest prompt plus window the model can place.
-        fingerprint: sha256 of the weights in use, the same for every dtype.
+        fingerprint: sha256 of the weights it began with, the same for every dtype.
+        frozen: whether none of its numbers is trained.
         dtype: what the blocks compute in; inputs and outputs are float32 all the same.
     """
 
@@ -78,6 +85,11 @@ class Backbone(nn.Module):
         self.num_layers = int(model.config.num_hidden_layers)
         self.max_positions = int(model.config.max_position_embeddings)
         self.eval()
+
+    def add_low_rank(self, rank: int, alpha: float, seed: int) -> None:
+        """Train additions of that rank beside the weights, which stay frozen."""
+        add_low_rank(self.model, rank, alpha, seed)
+        self.frozen = False
 
     def train(self, mode: bool = True) -> Backbone:
         """Stays in evaluation mode: the published dropout of a frozen model is only noise."""
@@ -215,9 +227,12 @@ def load_backbone(
 
 def from_settings(settings: BackboneSettings) -> Backbone:
     """`load_backbone` with the values of a settings object."""
-    return load_backbone(
+    backbone = load_backbone(
         settings.name, settings.depth, settings.dtype, settings.seed, settings.frozen
     )
+    if settings.lora_rank:
+        backbone.add_low_rank(settings.lora_rank, settings.lora_alpha, settings.seed)
+    return backbone
 
 
 def _additive(visible: Tensor, dtype: torch.dtype) -> Tensor:

@@ -41,6 +41,12 @@ _SHAPES: dict[str, dict[str, Any]] = {
         "num_key_value_heads": 3, "max_position_embeddings": 8192, "rms_norm_eps": 1e-5,
         "rope_parameters": {"rope_type": "default", "rope_theta": 100000.0},
     },
+    # The transformer of Prompt-DT (Xu et al. 2022): 3 blocks, 1 head, width 128, ReLU.
+    "prompt-dt": {
+        "model_type": "gpt2", "vocab_size": 256, "n_embd": 128, "n_layer": 3, "n_head": 1,
+        "n_positions": 1024, "activation_function": "relu",
+        "bos_token_id": None, "eos_token_id": None,
+    },
     "tiny": {
         "model_type": "gpt2", "vocab_size": 256, "n_embd": 64, "n_layer": 2, "n_head": 2,
         "n_positions": 256, "initializer_range": 0.2,

@@ -156,12 +156,12 @@ class PromptPolicy(nn.Module):
         return actions[:, 0]
 
     def own_state(self) -> dict[str, Tensor]:
-        """Everything but a frozen backbone: trainables and the buffers they were trained with."""
-        frozen = self.backbone.frozen
+        """Trainables and the buffers they were trained with; of a backbone only what is trained."""
+        trained = {name for name, value in self.named_parameters() if value.requires_grad}
         return {
             name: value
             for name, value in self.state_dict().items()
-            if not (frozen and name.startswith("backbone."))
+            if name in trained or not name.startswith("backbone.")
         }
 
     def load_own_state(self, state: dict[str, Tensor]) -> None:

@@ -221,14 +221,15 @@ def adapt(
         returns: n rows, as `unseen_returns` gives them.
         source: None only for starts that tune nothing.
         on_step: called with (step, loss of each task) before each step's update.
-        weights: (n, N) of the training tasks, for `infer` and `infer_aligned`.
+        weights: (n, N) of the training tasks, for `infer` and `infer_aligned`; `cross_one`
+            draws a donor by seed unless it is given one.
     """
     num_layers = policy.backbone.num_layers
     if any(not 0 <= layer < num_layers for layer in settings.layers):
         raise UsageError("no such layer", where="adapt.layers", expected=f"0 to {num_layers - 1}",
                          found=str(settings.layers))  # fmt: skip
     n = len(returns)
-    if start == "cross_one":
+    if start == "cross_one" and weights is None:
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, n])))
         num_tasks = len(trained.task_parts())
         donors = torch.from_numpy(generator.integers(num_tasks, size=n))

@@ -2,6 +2,8 @@
 
     mpdt-train --data cheetah_dir.h5                     run (the default), preset base
     mpdt-train --data ml10.h5 --preset smoke --name try  seconds, to see that it works
+    mpdt-train --data ml10.h5 --method Prompt-DT         a baseline or a variant
+    mpdt-train --data ml10.h5 --adapt infer              our own zero-shot protocol
     mpdt-train --data ml10.h5 --inputs.return-to-go none --name no-rtg
     mpdt-train settings --preset paper                   every setting and its value
     mpdt-train report runs/ml10-base                     the tables of a finished run
@@ -48,8 +50,13 @@ class Run:
     """FILE or FILE:slice, as written by mpdt-data collect or split."""
     preset: str = "base"
     """Settings to start from: smoke, demo, base, paper."""
+    method: str | None = None
+    """MPDT, MPDT-E, MPDT-WP, Soft-Prompt, Prompt-DT, MT-BC, LaMo, ...: lays a method over the
+    preset. An unknown name lists them all; default: the preset's own."""
+    adapt: str | None = None
+    """Start of adaptation, such as cross or infer. Short for --adapt.starts."""
     name: str | None = None
-    """Folder of the run inside the runs folder; default: FILE-preset."""
+    """Folder of the run inside the runs folder; default: FILE-preset or FILE-method."""
     runs_dir: Path = Path("runs")
     """Where runs are kept."""
     restart: bool = False
@@ -162,7 +169,8 @@ def _run(command: Run, rest: list[str]) -> int:
     from mpdt.train.state import Stopped, StopRequest
 
     config = parse_settings(command, rest)
-    name = command.name or f"{Path(command.data.partition(':')[0]).stem}-{command.preset}"
+    file = Path(command.data.partition(":")[0]).stem
+    name = command.name or f"{file}-{command.method or command.preset}"
     try:
         with StopRequest().listening() as stop:
             results = run_pipeline(
@@ -187,6 +195,7 @@ def parse_settings(command: Run, rest: Sequence[str]) -> TrainConfig:
     import msgspec
 
     from mpdt.train.config import TrainConfig
+    from mpdt.train.methods import apply_method
     from mpdt.train.presets import get_preset
 
     preset = get_preset(command.preset)
@@ -197,7 +206,10 @@ def parse_settings(command: Run, rest: Sequence[str]) -> TrainConfig:
             multitask=msgspec.structs.replace(preset.multitask, steps=command.steps),
             teacher=msgspec.structs.replace(preset.teacher, steps=round(command.steps * share)),
         )
-    return tyro.cli(TrainConfig, prog=PROG, default=preset, args=list(rest))
+    if command.method is not None:
+        preset = apply_method(preset, command.method)
+    short = [] if command.adapt is None else ["--adapt.starts", command.adapt]
+    return tyro.cli(TrainConfig, prog=PROG, default=preset, args=[*short, *rest])
 
 
 if __name__ == "__main__":

@@ -43,6 +43,8 @@ class FewShotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     qualities: tuple[Label, ...] = ()
     """Kinds of labelled steps to try, each from the trained weights; empty = no few-shot."""
+    demonstration: bool = False
+    """Show an expert episode's steps of the test task itself (prompts of kind demonstration)."""
     steps: int = 200
     """Labelled steps per task."""
     start: Start = "cross"

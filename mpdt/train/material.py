@@ -141,17 +141,27 @@ def return_table(
     return ReturnTable(*(torch.tensor(x, dtype=torch.float32) for x in (size, low, high, target)))
 
 
-def sample_demonstrations(material: Material, steps: int, seed: int, each: int = 64) -> WindowBatch:
-    """`each` stretches of `steps` steps for every training task, (N, each, steps, ...), no pads.
+def sample_demonstrations(
+    material: Material,
+    steps: int,
+    seed: int,
+    rows: Sequence[int] | None = None,
+    each: int = 64,
+) -> WindowBatch:
+    """`each` stretches of `steps` steps for every task row, (N, each, steps, ...), no pads.
 
-    Episodes uniformly, then starts uniformly among those with enough steps behind them.
+    Training tasks (`rows` None) show what they are trained on, others their expert. Episodes
+    uniformly, then starts uniformly among those with enough steps behind them.
+
     Raises: DataError if a task's episodes are all shorter than that.
     """
     dataset, episodes, starts = material.dataset, [], []
     lengths = np.asarray(dataset.episodes.length, np.int64)
-    for row in material.train_rows:
+    for row in material.train_rows if rows is None else rows:
+        own = material.dataset.select(task=row, quality="expert")
+        own = own if rows is not None else material.episode_ids[row]
         generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, row])))
-        long = material.episode_ids[row][lengths[material.episode_ids[row]] >= steps]
+        long = own[lengths[own] >= steps]
         if not len(long):
             raise DataError(f"no episode of {dataset.tasks.names[row]} is as long as a prompt",
                             where=str(dataset.path), expected=f"{steps} steps",
@@ -160,7 +170,7 @@ def sample_demonstrations(material: Material, steps: int, seed: int, each: int =
         starts.append(generator.integers(lengths[episodes[-1]] - steps + 1))
     return gather_windows(
         dataset, np.stack(episodes), np.stack(starts), steps,
-        reward_returns(dataset, dataset.steps.rewards), np.asarray(material.train_rows),
+        reward_returns(dataset, dataset.steps.rewards),
     )  # fmt: skip
 
 

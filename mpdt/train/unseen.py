@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 
 from mpdt.data.store.reader import open_tta_rewards
+from mpdt.errors import UsageError
+from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.policy import action_loss
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start
 from mpdt.model.returns import ReturnTable
@@ -21,6 +23,7 @@ from mpdt.train.controller import PerTaskController, PromptController
 from mpdt.train.evaluate import Controller
 from mpdt.train.infer import Explanation, explain, fit_reward_model, read_transitions
 from mpdt.train.labelled import choose_labelled, tune
+from mpdt.train.material import sample_demonstrations
 from mpdt.train.multitask import as_batch
 from mpdt.train.results import Reads
 from mpdt.train.run import Trained, Trainer, phase_seed
@@ -66,6 +69,8 @@ class UnseenTasks:
                 prompts = self._adapt(start, source)
                 yield Candidate(_LABELS[start], self.controller(prompts, self._returns), reads)
         yield from self._few_shot()
+        if self._config.few_shot.demonstration:
+            yield self._demonstrated()
         label = _LABELS[NOT_ADAPTED]
         if self._config.prompts.kind != "decomposed":
             label = "not adapted"
@@ -92,7 +97,11 @@ class UnseenTasks:
                 f"alignment {sum(losses) / len(losses):.4f}",
             )  # fmt: skip
 
-        weights = self.inferred() if start in INFERRED else None
+        weights = None
+        if start in INFERRED:
+            weights = self.inferred()
+        elif start == "cross_one" and self._config.prompts.kind == "demonstration":
+            weights = self._best_donors()
         return adapt(
             self._trained.policy, self._trained.prompts, start, self._x, self._returns, source,
             settings, self._config.statistics.axes, self._seed, on_step, weights,
@@ -103,10 +112,7 @@ class UnseenTasks:
         if start in INFERRED:
             weights = self.inferred()
         elif start in UNTUNED and self._config.prompts.kind == "demonstration":
-            # Demonstrations do not average: the one that serves the training tasks best.
-            weights = torch.zeros(len(self._rows), len(trained.task_parts()))
-            weights[:, self._best_donor()] = 1
-            return AdaptedPrompts(trained, "infer", len(self._rows), weights)
+            start, weights = "infer", self._best_donors()  # demonstrations do not average
         return AdaptedPrompts(trained, start, len(self._rows), weights, self._seed)
 
     def _few_shot(self) -> Iterator[Candidate]:
@@ -133,6 +139,20 @@ class UnseenTasks:
                 for i, (policy, prompt) in enumerate(tuned)
             ]  # fmt: skip
             yield Candidate(f"few-shot {quality}", PerTaskController(controllers), "labelled steps")
+
+    def _demonstrated(self) -> Candidate:
+        """An expert episode's steps of the test task itself: Prompt-DT's few-shot setting."""
+        trained = self._trained.prompts
+        if not isinstance(trained, DemonstrationPrompts):
+            raise UsageError("only prompts of kind demonstration can show one",
+                             where="few_shot.demonstration",
+                             found=f"prompts.kind {self._config.prompts.kind}")  # fmt: skip
+        shown = as_batch(sample_demonstrations(
+            self._material, self._config.prompts.length, self._seed, self._rows
+        ))  # fmt: skip
+        prompts = DemonstrationPrompts(trained.inputs, shown, self._returns)
+        controller = self.controller(prompts.task_prompts().detach(), self._returns)
+        return Candidate("expert demonstration", controller, "demonstration")
 
     def inferred(self) -> Tensor:
         """Weights (n, N) of the training tasks, from X and its rewards; computed once."""
@@ -186,8 +206,8 @@ class UnseenTasks:
         )
 
     @torch.no_grad()
-    def _best_donor(self) -> int:
-        """The training task whose prompt imitates all training tasks best, by action loss."""
+    def _best_donors(self) -> Tensor:
+        """Weights (n, N): all on the training task whose prompt imitates all of them best."""
         trained, sampler = self._trained, self._trainer.sampler("statistics")
         parts, losses = trained.prompts.task_parts(), []
         for part in parts:
@@ -198,7 +218,9 @@ class UnseenTasks:
             )
             assert batch.actions is not None
             losses.append(float(action_loss(output.actions, batch.actions, batch.mask)))
-        return int(np.argmin(losses))
+        weights = torch.zeros(len(self._rows), len(parts))
+        weights[:, int(np.argmin(losses))] = 1
+        return weights
 
 
 _LABELS: dict[Start, str] = {

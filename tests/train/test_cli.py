@@ -186,5 +186,12 @@ def test_overrides_and_the_share_of_the_teacher():
     config = parse_settings(Run(data="x", steps=300), ["--inputs.return-to-go", "family"])
     assert (config.teacher.steps, config.multitask.steps) == (100, 300)
     assert config.inputs.return_to_go == "family"
+    config = parse_settings(Run(data="x", method="MT-BC", adapt="infer"), ["--seed", "3"])
+    assert (config.method, config.prompts.kind, config.adapt.starts) == (
+        "MT-BC",
+        "none",
+        ("infer",),
+    )
+    assert config.seed == 3
     with pytest.raises(UsageError, match="unknown preset"):
         parse_settings(Run(data="x", preset="y"), [])
