@@ -108,7 +108,6 @@ def pretrain(
         work.mkdir(parents=True, exist_ok=True)
     for path in (target, record_path, work / "checkpoint.zip"):
         check_replaceable(path)
-    started = time.monotonic()
     say = on_progress or (lambda line: None)
     curve = _train(family, settings, total, seed, work, say)
     say("judging the snapshots on every task")
@@ -128,7 +127,7 @@ def pretrain(
         "reward": family.reward,
         "seed": seed,
         "steps": total,
-        "wall_s": round(time.monotonic() - started, 1),
+        "wall_s": curve[-1]["wall_s"],  # of training, without judging
         "settings": asdict(settings),
         "packages": {
             package: metadata.version(package)
@@ -182,6 +181,7 @@ def _train(
             self.curve = curve
             self.next_snapshot = (curve[-1]["step"] + every) if curve else 0
             self.since = time.monotonic()
+            self.earlier_s = curve[-1]["wall_s"] if curve else 0.0  # of stopped sessions
 
         def _on_rollout_start(self) -> None:
             step = int(self.num_timesteps)
@@ -194,7 +194,9 @@ def _train(
 
         def snapshot(self, step: int, mean: float) -> None:
             _write(work / f"{step:012d}.safetensors", save(_export(self.model)))
-            self.curve.append({"step": step, "mean_return": round(mean, 2)})
+            wall_s = round(self.earlier_s + time.monotonic() - self.since, 1)
+            point = {"step": step, "mean_return": round(mean, 2), "wall_s": wall_s}
+            self.curve.append(point)
             _write(curve_path, json.dumps(self.curve).replace("NaN", "null").encode())
             with replacing(checkpoint) as temporary, disk(checkpoint):
                 self.model.save(temporary)
