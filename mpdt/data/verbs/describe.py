@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
+from mpdt.data.reference import YARDSTICKS, Reference
 from mpdt.data.store import layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.tables import Int64
@@ -55,35 +57,81 @@ def _task(data: Dataset, row: int, ids: Int64) -> dict[str, Any]:
         "episodes": len(mine),
         "returns": returns,
         "success": float(data.episodes.success[mine].mean()) if has_success else None,
-        "ref_zero": or_none(float(tasks.ref_zero[row])),
-        "ref_random": or_none(float(tasks.ref_random[row])),
-        "ref_expert": or_none(float(tasks.ref_expert[row])),
+        "references": {
+            name: _reference(tasks.references[row][name])
+            for name in YARDSTICKS
+            if tasks.references[row][name].is_known
+        },
+        "constant_action": list(tasks.references[row].constant_action) or None,
     }
+
+
+def _reference(found: Reference) -> dict[str, Any]:
+    return asdict(found) | {"error": or_none(found.error)}
 
 
 def level_table(
     data: Dataset, ids: Int64 | None = None, names: tuple[str, ...] | None = None
 ) -> str:
-    """Mean return of each task: reference of zero action, then per quality; level of medium."""
+    """Mean return per task and quality; level of medium between the random and expert reference."""
     tasks = describe(data, ids)["tasks"]
-    heading = ("task", "role", "episodes", "zero", *QUALITY_CODES, "level", "success")
+    heading = ("task", "role", "episodes", *QUALITY_CODES, "level", "success")
     rows = []
     for task in tasks:
         if names is not None and task["name"] not in names:
             continue
         returns: Mapping[str, float] = task["returns"]
         found = [returns.get(quality, float("nan")) for quality in QUALITY_CODES]
-        low, high = task["ref_random"], task["ref_expert"]
-        level = float("nan")
-        if low is not None and high is not None and high > low:
-            level = (found[1] - low) / (high - low)
+        low, high = (_mean(task, name) for name in ("random", "expert"))
+        level = (found[1] - low) / (high - low) if high > low else float("nan")
         success = "-" if task["success"] is None else f"{task['success']:.2f}"
-        zero = float("nan") if task["ref_zero"] is None else task["ref_zero"]
         rows.append(
-            [task["name"], task["role"], f"{task['episodes']:,}", number(zero),
+            [task["name"], task["role"], f"{task['episodes']:,}",
              *map(number, found), number(level, 2), success]
         )  # fmt: skip
     return text_table([heading, *rows], numbers_from=2)
+
+
+def _mean(task: Mapping[str, Any], name: str) -> float:
+    return float(task["references"].get(name, {"mean": float("nan")})["mean"])
+
+
+def reference_table(data: Dataset, names: tuple[str, ...] | None = None) -> str:
+    """What the yardsticks return on each task, with standard errors; empty if nothing is known.
+
+    The largest error is given as a share of the span, expert - random.
+    """
+    chosen = [
+        (name, references)
+        for name, references in zip(data.tasks.names, data.tasks.references, strict=True)
+        if (names is None or name in names) and references.by_name
+    ]
+    if not chosen:
+        return ""
+    heading = ("reference", *YARDSTICKS, "success", "episodes", "error", "source")
+    rows = []
+    for name, references in chosen:
+        found = [references[yardstick] for yardstick in YARDSTICKS]
+        known = [reference for reference in found if reference.is_known]
+        span = references["expert"].mean - references["random"].mean
+        worst = max(reference.error for reference in known) / span if span > 0 else float("nan")
+        success = references["expert"].success
+        rows.append(
+            [name, *(_with_error(reference) for reference in found),
+             "-" if success is None else f"{success:.2f}",
+             f"{sum(reference.episodes for reference in known):,}",
+             "-" if worst != worst else f"{worst:.1%}",
+             ", ".join(dict.fromkeys(reference.source for reference in known if reference.source))]
+        )  # fmt: skip
+    actions = {references.constant_action for _, references in chosen}
+    line = "constant action  none chosen"
+    if len(actions) == 1 and (action := actions.pop()):
+        line = "constant action  " + " ".join(f"{number:g}" for number in action)
+    return f"{text_table([heading, *rows], numbers_from=1)}\n{line}"
+
+
+def _with_error(found: Reference) -> str:
+    return f"{number(found.mean)} +- {number(found.error)}" if found.is_known else "-"
 
 
 def header_lines(found: Mapping[str, Any]) -> list[str]:

@@ -110,6 +110,7 @@ class Show(Options):
             describe_episode,
             header_lines,
             level_table,
+            reference_table,
             schema,
         )
 
@@ -122,6 +123,8 @@ class Show(Options):
             return
         found = describe(data, ids)
         text = [*header_lines(found), "", level_table(data, ids, names)]
+        if references := reference_table(data, names):
+            text += ["", references]
         if data.slices:
             text += [
                 "",
