@@ -22,6 +22,16 @@ from mpdt.data.build import Progress, collect, find_finished
 from mpdt.data.parts import PartsFolder
 from mpdt.data.plan import make_plan
 from mpdt.data.reference import Reference, References
+from mpdt.data.sim import ladder
+from mpdt.data.sim.references import (
+    LOCAL_FILE,
+    Entry,
+    Score,
+    constant_names,
+    expert_name,
+    place_of,
+    save_entries,
+)
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.spec.entry import smoke as smoke_of
 from mpdt.data.store import provenance
@@ -77,6 +87,32 @@ def test_references_that_are_not_stored_are_run(
     assert data.tasks.ref_expert.tolist() == [5.0, 5.0]
     assert np.isfinite(data.tasks.ref_random).all()
     assert data.tasks.ref_random[0] != 0
+
+
+@pytest.mark.parametrize("same_expert", [True, False])
+def test_references_on_record_are_stored_and_change_no_content(
+    fakes: Fakes, tiny_spec: DatasetSpec, tiny_file: Path, tmp_path: Path, same_expert: bool
+) -> None:
+    """Of `forward` all is on record, maybe of an expert that does not act here.
+
+    A constant action cannot be chosen: `backward` is a training task too and not on record.
+    """
+    task = make_plan(tiny_spec).tasks[0]
+    place = place_of(tiny_spec, task, tiny_spec.horizon)
+    expert = expert_name(ladder.load_ladder(tiny_spec), task) if same_expert else "expert:0"
+    scores = {name: Score(20, 0.25, 1.0) for name in constant_names(6)}
+    scores |= {"random": Score(40, 0.125, 2.0), expert: Score(80, 4.5, 4.0, 0.5)}
+    entry = Entry(scene=place[0], horizon=place[1], env={}, scores=scores, seed=1, versions={})
+    save_entries(Path(LOCAL_FILE), [entry], "")  # the working folder
+    data = collect(tiny_spec, tmp_path / "again.h5", workers=0).dataset
+    before = open_dataset(tiny_file)
+    assert data.content_hash == before.content_hash
+    forward, backward = data.tasks.references
+    assert forward["random"] == Reference(0.125, 2 / 40**0.5, 40, None, "local")
+    wanted = Reference(4.5, 4 / 80**0.5, 80, 0.5, "local")
+    assert forward["expert"] == (wanted if same_expert else before.tasks.references[0]["expert"])
+    assert backward == before.tasks.references[1] and backward["expert"].source == "collected"
+    assert not forward["constant"].is_known and forward.constant_action == ()
 
 
 def test_tta_set_is_apart_and_unlabelled(tiny_file: Path) -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mpdt.data.levels import TaskLevels, level_error, measure_levels
-from mpdt.data.plan import make_plan
+from mpdt.data.plan import Plan, make_plan
 from mpdt.data.reference import Reference, References
 from mpdt.data.runner import BlockReport
+from mpdt.data.sim.references import Record
 from mpdt.data.spec.catalog import load_catalog
 
 NAN = float("nan")
@@ -102,3 +104,68 @@ def test_the_order_of_arrival_changes_no_bit() -> None:
     for _ in range(5):
         shuffled = [reports[i] for i in draws.permutation(len(reports))]
         assert repr(measure_levels(plan, shuffled)) == repr(wanted)
+
+
+def report(plan: Plan, task: int, name: str, *returns: float) -> BlockReport:
+    chosen = [b for b in plan.blocks if (b.task.index, b.name, b.number) == (task, name, 0)]
+    return BlockReport(chosen[0], 0, np.array(returns))
+
+
+def record(zero: float, up: float, **by_name: float) -> Record:
+    """zero, and +1 along axis 2 as the only candidate that does something."""
+    table = [Reference(up if i == 3 else zero, 0.1, 20, source="shipped") for i in range(13)]
+    known = {"zero": zero, **by_name}
+    return Record(
+        {name: Reference(mean, 0.1, 20, source="shipped") for name, mean in known.items()},
+        tuple(table),
+    )
+
+
+def test_the_record_wins_over_the_episodes_of_the_collection() -> None:
+    """forward: all on record. backward: another expert acts, so its episodes count instead."""
+    spec = load_catalog().get("cheetah_dir")
+    records = {
+        "forward": record(1.0, 41.0, random=0.0, expert=100.0),
+        "backward": record(0.0, 10.0, random=0.0),
+    }
+    plan = make_plan(spec, records)
+    given = {"random": (-5.0, 5.5), "medium": (48.0, 52.0), "expert": (190.0, 210.0)}
+    found = measure_levels(
+        plan, [report(plan, task, *one) for task in (0, 1) for one in
+               [(name, *returns) for name, returns in given.items()]],
+    )  # fmt: skip
+    forward, backward = found["forward"], found["backward"]
+    assert (forward.random.mean, forward.expert.mean) == (0.0, 100.0)
+    assert forward.medium_level == 0.5 and forward.medium.episodes == 2
+    assert (backward.random.mean, backward.expert.mean) == (0.0, 200.0)
+    assert (backward.expert.source, backward.random.source) == ("collected", "shipped")
+    assert (backward.expert.episodes, backward.expert.error) == (2, 10.0)
+    # Levels of the candidate: 41 / 100 and 10 / 200, mean 0.23; all others 0.005.
+    for task in (forward, backward):
+        assert task.references.constant_action == (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    assert forward.references["constant"].mean == 41.0
+    assert backward.references["constant"].mean == 10.0
+
+
+def test_the_constant_is_chosen_on_training_tasks() -> None:
+    """A test task that would love another action has no say; without a table nobody has."""
+    spec = load_catalog().get("cheetah_dir")
+    plan = make_plan(spec, {
+        "forward": record(0.0, 5.0, random=0.0, expert=100.0),
+        "backward": record(0.0, -90.0, random=0.0, expert=100.0),
+    })  # fmt: skip
+
+    def action(plan: Plan) -> tuple[float, ...]:
+        return measure_levels(plan, [])["backward"].references.constant_action
+
+    assert action(plan) == (0.0,) * 6  # zero: -42.5 is worse
+    tasks = (replace(plan.tasks[0], role="train"), replace(plan.tasks[1], role="test"))
+    assert action(replace(plan, tasks=tasks)) == (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    tasks = tuple(replace(task, role="test") for task in tasks)
+    assert action(replace(plan, tasks=tasks)) == ()
+    unknown = Record(plan.records["backward"].by_name)
+    some = replace(plan, records={**plan.records, "backward": unknown})
+    assert (
+        action(some) == ()
+        and not measure_levels(some, [])["forward"].references["constant"].is_known
+    )

@@ -6,6 +6,8 @@ import msgspec
 import pytest
 
 from mpdt.data.plan import Block, make_plan, spread
+from mpdt.data.reference import Reference
+from mpdt.data.sim.references import NOTHING, Record
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts, TtaRule
 from mpdt.seeding import HISTORY_STRIDE, Quality
 
@@ -53,6 +55,20 @@ def test_references_are_run_only_where_nothing_stored_tells() -> None:
         ("forward-ref_random-0", 1),
         ("forward-ref_expert-0", 1),
     ]
+
+
+def test_references_on_record_are_not_run() -> None:
+    """zero and random of forward are known, its expert is another one; of backward nothing."""
+    spec = make_spec(episodes=EpisodeCounts(medium=4), reference=1, tta={})
+    known = Record({"zero": Reference(0.0, 0.1, 20), "random": Reference(1.0, 0.1, 20)})
+    plan = make_plan(spec, {"forward": known})
+    assert [block.label for block in plan.of_kind("reference")] == [
+        "forward-ref_expert-0",
+        "backward-ref_zero-0",
+        "backward-ref_random-0",
+        "backward-ref_expert-0",
+    ]
+    assert plan.on_record(plan.tasks[0]) is known and plan.on_record(plan.tasks[1]) is NOTHING
 
 
 def test_history_numbers_hold_the_rung() -> None:
