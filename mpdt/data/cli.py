@@ -28,6 +28,7 @@ from mpdt.data.verbs.look import Info, List, Show
 from mpdt.data.verbs.make import Calibrate, Collect, Plans, Pretrain
 from mpdt.data.verbs.measure import Measure
 from mpdt.data.verbs.options import Options
+from mpdt.data.verbs.trust import Lock, Verify
 from mpdt.errors import MpdtError, unknown_name
 
 VERBS: dict[str, type[Options]] = {
@@ -41,6 +42,8 @@ VERBS: dict[str, type[Options]] = {
     "pretrain": Pretrain,
     "calibrate": Calibrate,
     "reference": Measure,
+    "verify": Verify,
+    "lock": Lock,
     "info": Info,
 }
 DESCRIPTION = """Make, cut and look at datasets.

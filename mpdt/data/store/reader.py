@@ -33,7 +33,7 @@ from mpdt.errors import (
     unknown_name,
 )
 
-__all__ = ["Dataset", "open_dataset", "open_tta_rewards", "parse_ref"]
+__all__ = ["Dataset", "open_dataset", "open_tta_rewards", "opened", "parse_ref"]
 
 
 def parse_ref(ref: str) -> tuple[Path, str | None]:
@@ -70,8 +70,7 @@ def open_tta_rewards(path: Path | str, name: str) -> tuple[tables.Float32, table
     Raises: as `open_dataset`; UsageError for an unknown set.
     """
     path = Path(path)
-    with _open(path) as (file, stream), _told_as_damage(path):
-        _check_header(file, path)
+    with opened(path) as (file, stream):
         sets = file.get("tta", {})
         if name not in sets:
             raise unknown_name("TTA set", name, sets, where=str(path))
@@ -93,9 +92,19 @@ def read_file(
         checked: False for `verify`, which looks at rows, ids and hashes itself: names, types
             and numbers of axes are as the format says, and nothing else is known.
     """
+    with opened(path, unfinished) as (file, stream):
+        return _read(file, path, _Arrays(stream, preload), checked)
+
+
+@contextmanager
+def opened(path: Path, unfinished: bool = False) -> Iterator[tuple[h5py.File, BinaryIO]]:
+    """The HDF5 file of a complete mpdt/1 file and its bytes, for as long as the context lasts.
+
+    Raises: as `open_dataset`; FormatError also for whatever cannot be read inside the context.
+    """
     with _open(path) as (file, stream), _told_as_damage(path):
         _check_header(file, path, unfinished)
-        return _read(file, path, _Arrays(stream, preload), checked)
+        yield file, stream
 
 
 # What h5py and numpy raise about metadata that makes no sense, found by flipping bytes.

@@ -1,0 +1,122 @@
+"""hash: every digest from the bytes, content and spec hash, and with --locked the lock's."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from mpdt.data.spec.claim import changed_keys
+from mpdt.data.spec.entry import canonical_json
+from mpdt.data.spec.lock import LockEntry
+from mpdt.data.store.digest import content_hash
+from mpdt.data.store.digests import Labels, array_digests
+from mpdt.data.store.fingerprint import lost_runs
+from mpdt.data.store.origin import damaged_hint
+from mpdt.data.store.tables import TtaSet
+from mpdt.data.verify.finding import Fault, Finding, judge
+from mpdt.data.verify.material import Chunk, Material, Track
+from mpdt.data.verify.streaming import Faults
+
+
+class HashCheck:
+    """StepCheck `hash`.
+
+    Args:
+        lock: the lock file's words for messages, and its entry of this data set; None = the lock
+            is not asked.
+    """
+
+    id = "hash"
+
+    def __init__(self, material: Material, lock: tuple[str, LockEntry | None] | None) -> None:
+        self._material, self._lock = material, lock
+        self._labels = Labels(material.dataset)
+        self._faults, self._num_digests = Faults(), 0
+
+    def look(self, track: Track, chunk: Chunk) -> None:
+        table, labels = track.table, self._labels
+        ids = range(chunk.first, chunk.last)
+        arrays = [
+            ("observations", chunk.observations), ("actions", chunk.actions),
+            ("rewards", chunk.rewards), ("terminations", chunk.terminations),
+            ("truncations", chunk.truncations),
+        ]  # fmt: skip
+        if chunk.successes is not None:
+            arrays.append(("successes", chunk.successes))
+        texts = [labels.tta(table, i) if isinstance(table, TtaSet) else labels.episode(i)
+                 for i in ids]  # fmt: skip
+        digests = array_digests(arrays, chunk.lengths.tolist(), texts)
+        found = np.frombuffer(digests, np.uint8).reshape(-1, 32)
+        wrong = np.flatnonzero((found != table.digest[chunk.first : chunk.last]).any(axis=1))
+        self._faults.add("other bytes than the digest says", track, (wrong + chunk.first).tolist())
+        self._num_digests += len(ids)
+
+    def finding(self) -> Finding:
+        data = self._material.dataset
+        faults = self._faults.all()
+        if content_hash(data.content_header(), data.episodes.digest) != data.content_hash:
+            faults.append(Fault("the content hash does not fit the digests"))
+        if hashlib.sha256(canonical_json(data.spec)).hexdigest() != data.spec_hash:
+            faults.append(Fault("the spec hash does not fit the spec"))
+        for name, tta in data.tta.items():
+            if tta.content_hash not in _tta_hashes(self._material, tta):
+                faults.append(Fault("the hash of the set does not fit it", track=f"tta {name}"))
+        hint = damaged_hint(self._material.path)
+        compared = ""
+        if self._lock is not None:
+            locked, compared = _lock_faults(self._material, *self._lock)
+            if locked and not faults:
+                hint = "mpdt-data lock shows the states; mpdt-data collect NAME --locked remakes it"
+                hint = hint.replace("NAME", data.name)
+            faults += locked
+        text = f"{self._num_digests:,} digests, content {data.content_hash[:8]}{compared}"
+        return judge(self.id, faults, text, hint)
+
+
+def _lock_faults(material: Material, path: str, entry: LockEntry | None) -> tuple[list[Fault], str]:
+    """What the lock says against this file; and what it says for it."""
+    data = material.dataset
+    if entry is None:
+        return [Fault(f"{path} has no entry {data.name}")], ""
+    if changes := changed_keys(entry.spec, dict(data.spec)):
+        same = entry.version == data.version
+        but = f"but version is still {data.version}" if same else f"locked is {entry.version}"
+        hashes = f"locked spec {entry.hashes.spec[:8]}, found {data.spec_hash[:8]}"
+        return [Fault(f"the spec differs from {path} ({'; '.join(changes)}), {but}: {hashes}")], ""
+    if data.parent:
+        if data.parent == entry.hashes.content:
+            return [], f", cut out of what {path} holds"
+        return [Fault(f"cut out of {data.parent[:8]}, but {path} holds "
+                      f"{entry.hashes.content[:8]}")], ""  # fmt: skip
+    tta = {name: found.content_hash for name, found in data.tta.items()}
+    if (data.content_hash, tta) == (entry.hashes.content, entry.hashes.tta):
+        return [], f" = {path}"
+    runs = lost_runs(data, entry)
+    where = f" in {', '.join(runs[:3])}" if runs else ""
+    return [Fault(f"not what {path} holds: content {data.content_hash[:8]}, locked "
+                  f"{entry.hashes.content[:8]}, other episodes{where}")], ""  # fmt: skip
+
+
+def _tta_hashes(material: Material, tta: TtaSet) -> set[str]:
+    """What the set's own hash may be.
+
+    Its preset returns count with all the digits somebody typed, and the file keeps a float32:
+    0.1 may have been 0.1 or, in a copy of a copy, that float32 itself.
+    """
+    data = material.dataset
+    presets = {
+        data.tasks.names[row]: value
+        for row, value in zip(tta.task.tolist(), tta.preset_return, strict=True)
+    }
+    found = set()
+    for typed in (True, False):
+        values = {
+            name: float(str(value)) if typed else float(value) for name, value in presets.items()
+        }
+        identity = data.content_header() | {"rule": dict(tta.rule), "preset_return": values}
+        try:
+            found.add(content_hash(identity, tta.digest))
+        except ValueError:  # NaN or infinity, which `tta` reports
+            continue
+    return found
