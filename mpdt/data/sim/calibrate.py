@@ -4,233 +4,191 @@
 
       level
        1.0 |                    o  script, u = 0     One answer although a curve may turn:
-           |        x  x     x                       walk from the random side and stop at
-       0.5 |.....x........x.....                     the first crossing of 0.5, then halve
-           |  x                                      the step around it.
+           |        x  x     x                       the coarse curve (x), smoothed, is walked
+       0.5 |.....x........x.....                     from the random side to its first crossing
+           |  x                                      of 0.5; the search starts there.
        0.0 o  random, u = 1
 
-Where a noisy script beats the clean one (lever-pull) the level passes 1 later on; the first
-crossing lies before that, so random < medium < expert holds by construction.
-
-All rates of a task are measured on the same goals, coins and uniform actions.
+Where a noisy script beats the clean one the level passes 1 later on; the first crossing lies
+before that, so random < medium < expert holds by construction.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
-from mpdt.data.sim.batch import BatchEnv, FloatArray
 from mpdt.data.sim.calibration import (
     Calibration,
     Measurement,
+    Place,
     check_target,
     local_path,
+    read_calibrations,
     save_calibrations,
 )
-from mpdt.data.sim.collect import run_block
+from mpdt.data.sim.engines import map_blocks
 from mpdt.data.sim.policies import ScriptedPolicy
-from mpdt.data.sim.simulators import make_batch
+from mpdt.data.sim.probe import Gauge, Probe
 from mpdt.data.spec.entry import DatasetSpec
-from mpdt.data.spec.tasks import get_family
 from mpdt.errors import DataError, SpecError
-from mpdt.seeding import Quality, SeedKey
 
-STEP = 0.05  # of the walk over rates
-RATES = tuple(round(1 - STEP * i, 6) for i in range(round(1 / STEP) + 1))  # 1, 0.95 .. 0
-FINEST = 0.025  # where halving stops
+STEP = 0.1  # of the coarse curve
+RATES = tuple(round(1 - STEP * i, 6) for i in range(1, round(1 / STEP)))  # 0.9, 0.8 .. 0.1
+FINEST = 0.01  # rates of medium are multiples of it
 SLACK = 0.1  # a curve may turn by this much and count as monotone
-ERROR = 0.025  # standard error of the level that ends the careful measurement
-PORTIONS = 4  # at most so many times the careful number of episodes
-CLOSE = 0.03  # a level this near 0.5 is not improved further
+ERROR = 0.025  # standard error of the level that ends a careful measurement
+PORTIONS = 5  # at most so many times `careful` episodes
+CLOSE = 0.05  # a level this near 0.5 is not improved further
+TRIES = 8  # rates measured carefully
+STRIDE = 0.1  # longest step of the search while only one side of 0.5 is known
 BAND = (0.40, 0.60)  # a medium outside is refused; `levels.py` allows [0.35, 0.65]
 
-
 RULE = (
-    f"Mixing rates are walked from 1 (uniform) to 0 (script) in steps of {STEP}. Around the "
-    "first level >= 0.5 that stands up to the larger number of episodes the step is halved "
-    f"down to {FINEST}. The nearest rate is measured again with up to {PORTIONS} times the "
-    f"episodes, until the level is known to {ERROR}, and moved by {FINEST} while it is more "
-    f"than {CLOSE} from 0.5; it must end in [{BAND[0]}, {BAND[1]}]. Where the curve turns "
-    "(monotone: false) only this first crossing counts, so random < medium < expert in return."
+    f"A coarse curve of levels at rates {RATES[0]} to {RATES[-1]} in steps of {STEP}, each "
+    "averaged with its neighbours (weights 1 2 1), is walked from rate 1 (uniform) to 0 (script) "
+    "to its first crossing of 0.5. From there rates are measured carefully, with up to "
+    f"{PORTIONS} portions of episodes until the level is known to {ERROR}, and moved in "
+    f"multiples of {FINEST} until the level is within {CLOSE} of 0.5; it must end in "
+    f"[{BAND[0]}, {BAND[1]}]. Where the curve turns (monotone: false) only this first crossing "
+    "counts, so random < medium < expert in return."
 )
 
 
-def find_rate(level: Callable[[float, bool], float]) -> float:
-    """Rate of `medium`: the first crossing of level 0.5, seen from the random side.
+def first_crossing(levels: Sequence[float]) -> tuple[float, float]:
+    """Where the smoothed coarse curve first passes 0.5 from the random side.
 
     Args:
-        level: (rate, careful) -> level; `careful` asks for more episodes. Level 0 at rate 1
-            and 1 at rate 0 hold by definition and are not asked for.
+        levels: at RATES; level 0 at rate 1 and 1 at rate 0 are added.
 
-    Returns: the carefully measured rate nearest 0.5, a multiple of FINEST; of two equally
-        near ones the more random.
+    Returns: the rate, a multiple of FINEST strictly between 0 and 1; and how much the level
+        rises there per unit of rate towards the script, kept within [1, 10].
     """
-    careful: dict[float, float] = {1.0: 0.0, 0.0: 1.0}
-
-    def passes(rate: float) -> bool:
-        if rate not in careful:
-            careful[rate] = level(rate, True)
-        return careful[rate] >= 0.5
-
-    walk = list(RATES)
-    between = walk[1:-1]
-    place = next(
-        (i for i, rate in enumerate(between, 1) if level(rate, False) >= 0.5), len(walk) - 1
-    )
-    # The walk used few episodes, so ask again with more on both sides of the crossing.
-    while not passes(walk[place]):
-        place += 1
-    while passes(walk[place - 1]):
-        place -= 1
-    script_side, random_side = walk[place], walk[place - 1]
-    while random_side - script_side > FINEST + 1e-9:
-        middle = round((script_side + random_side) / 2, 6)
-        if passes(middle):
-            script_side = middle
-        else:
-            random_side = middle
-    return min(sorted(careful, reverse=True), key=lambda rate: abs(careful[rate] - 0.5))
+    rates = np.array([1.0, *RATES, 0.0])
+    raw = np.array([0.0, *levels, 1.0])
+    smooth = raw.copy()
+    smooth[1:-1] = (raw[:-2] + 2 * raw[1:-1] + raw[2:]) / 4
+    after = int(np.argmax(smooth >= 0.5))  # exists: the last one is 1
+    before = after - 1
+    rise = (smooth[after] - smooth[before]) / STEP
+    rate = rates[before] - (0.5 - smooth[before]) / rise
+    return _on_grid(float(rate)), float(np.clip(rise, 1.0, 10.0))
 
 
-def settle(level: Callable[[float], float], start: float) -> float:
-    """Walk from `start` towards level 0.5 in steps of FINEST, until CLOSE or past it.
+def find_rate(level: Callable[[float], float], start: float, rise: float) -> float:
+    """From `start` to a rate whose level is within CLOSE of 0.5, or to the nearest one met.
+
+        level known on one side of 0.5:   go (0.5 - level) / rise, at most STRIDE
+        on both sides:                    go where the straight line between them says
 
     Args:
-        level: rate -> level, known to about ERROR.
-
-    Returns: the visited rate nearest 0.5.
+        level: rate -> level, measured carefully.
+        rise: of the level per unit of rate towards the script.
     """
-    seen = {start: level(start)}
+    seen: dict[float, float] = {}
     rate = start
-    while abs(seen[rate] - 0.5) > CLOSE:
-        rate = round(rate + (FINEST if seen[rate] > 0.5 else -FINEST), 6)
-        if rate in seen or not 0.0 < rate < 1.0:
-            break
+    while rate not in seen and len(seen) < TRIES:
         seen[rate] = level(rate)
+        if abs(seen[rate] - 0.5) <= CLOSE:
+            break
+        rate = _next_rate(seen, rate, rise)
     return min(sorted(seen, reverse=True), key=lambda visited: abs(seen[visited] - 0.5))
 
 
-class Probe:
-    """Measures mixing rates of one task, every rate on the same episodes' keys."""
-
-    def __init__(self, task_name: str, horizon: int, seed: int) -> None:
-        # mt50 holds every task, so a calibration does not depend on the family that asked.
-        self._family = get_family("mt50")
-        self.task = self._family.task(task_name)
-        self.horizon, self.seed = horizon, seed
-        self._env: BatchEnv = make_batch(self._family, [self.task])
-        self._seen: dict[float, list[tuple[float, bool]]] = {}
-
-    def outcomes(self, rate: float, num_episodes: int) -> tuple[FloatArray, FloatArray]:
-        """Returns and successes (0 or 1) of the first `num_episodes` episodes, (N,) each."""
-        seen = self._seen.setdefault(rate, [])
-        policy = ScriptedPolicy([self.task.name], rate)
-        for row in range(len(seen), num_episodes):
-            place = (self._family.id, self.task.index, Quality.CALIBRATION, 0, row)
-            key = SeedKey(self.seed, *place)
-            (episode,) = run_block(
-                self._env, policy, [key], horizon=self.horizon, quality=-1, progress=-1.0
-            )
-            seen.append((episode.episode_return, episode.success))
-        returns, successes = zip(*seen[:num_episodes], strict=True)
-        return np.array(returns), np.array(successes, dtype=np.float64)
+def _next_rate(seen: dict[float, float], rate: float, rise: float) -> float:
+    too_good = [known for known, level in seen.items() if level >= 0.5]
+    too_bad = [known for known, level in seen.items() if level < 0.5]
+    if not too_good or not too_bad:
+        wish = (0.5 - seen[rate]) / rise
+        return _on_grid(rate - float(np.clip(wish, -STRIDE, STRIDE)), away_from=rate)
+    # The first crossing from the random side lies above the highest rate that is too good.
+    inner = max(too_good)
+    outer = min((known for known in too_bad if known > inner), default=inner)
+    if outer - inner < 1.5 * FINEST:
+        return inner  # nothing of the grid in between: known, so the search ends
+    share = (seen[inner] - 0.5) / (seen[inner] - seen[outer])
+    middle = _on_grid(inner + share * (outer - inner))
+    return float(np.clip(middle, inner + FINEST, outer - FINEST).round(6))
 
 
-@dataclass(frozen=True)
-class Scale:
-    """What turns returns into levels: the mean return at rate 1, and up to rate 0."""
-
-    low: float
-    span: float
-
-    @classmethod
-    def of(cls, probe: Probe, num_random: int, num_script: int) -> Scale:
-        low = float(probe.outcomes(1.0, num_random)[0].mean())
-        return cls(low, float(probe.outcomes(0.0, num_script)[0].mean()) - low)
-
-    def measure(self, probe: Probe, rate: float, num_episodes: int) -> Measurement:
-        returns, successes = probe.outcomes(rate, num_episodes)
-        error = returns.std(ddof=1) / self.span / np.sqrt(num_episodes)
-        return Measurement(
-            rate=rate,
-            episodes=num_episodes,
-            mean_return=round(float(returns.mean()), 3),
-            success=round(float(successes.mean()), 4),
-            level=round(float((returns.mean() - self.low) / self.span), 4),
-            level_error=round(float(error), 4),
-        )
+def _on_grid(rate: float, away_from: float | None = None) -> float:
+    """Nearest multiple of FINEST in (0, 1); at least one step from `away_from`."""
+    if away_from is not None and abs(rate - away_from) < FINEST:
+        rate = away_from + float(np.copysign(FINEST, rate - away_from))
+    place = min(max(round(rate / FINEST), 1), round(1 / FINEST) - 1)
+    return round(place * FINEST, 6)
 
 
 def calibrate_task(
-    task_name: str, horizon: int, *, seed: int = 1, coarse: int = 6, careful: int = 60
-) -> Calibration:
-    """Find the mixing rate of `medium` of one task; `coarse` and `careful` count episodes.
+    task_name: str,
+    horizons: Iterable[int],
+    *,
+    seed: int = 1,
+    coarse: int = 4,
+    careful: int = 20,
+) -> list[Calibration]:
+    """Find the rate of `medium` of one task at each horizon, the longest first.
+
+    Args:
+        coarse: episodes per rate of the coarse curve.
+        careful: episodes per portion of a careful measurement.
 
     Raises: DataError if the script is no better than uniform actions, or if no measured
         rate comes into BAND (more `careful` episodes may help).
     """
-    probe = Probe(task_name, horizon, seed)
-    first = Scale.of(probe, careful, careful)
-    if first.span <= 0:
+    probe = Probe(task_name, seed)
+    return [
+        _calibrate(probe, horizon, coarse, careful) for horizon in sorted(horizons, reverse=True)
+    ]
+
+
+def _calibrate(probe: Probe, horizon: int, coarse: int, careful: int) -> Calibration:
+    gauge = Gauge(probe, horizon, portion=careful, portions=PORTIONS, error=ERROR)
+    where = f"{probe.task.name}, horizon {horizon}"
+    if gauge.span <= 0:
         raise DataError(
             "the script earns no more than uniform actions",
-            where=f"{task_name}, horizon {horizon}",
-            expected=f"a return above {first.low:.1f}",
-            found=f"{first.low + first.span:.1f}",
+            where=where,
+            expected=f"a return above {gauge.low:.1f}",
+            found=f"{gauge.low + gauge.span:.1f}",
         )
-
-    def rough_level(rate: float, is_careful: bool) -> float:
-        return first.measure(probe, rate, careful if is_careful else coarse).level
-
-    start = find_rate(rough_level)
-    return refine(probe, start, coarse=coarse, careful=careful)
-
-
-def refine(probe: Probe, start: float, *, coarse: int, careful: int) -> Calibration:
-    """From the rate `find_rate` answered to the calibration, with enough episodes."""
-    span = Scale.of(probe, careful, careful).span
-    scale = Scale.of(probe, *(_enough(probe, end, span, careful) for end in (1.0, 0.0)))
-
-    def measure(rate: float) -> Measurement:
-        return scale.measure(probe, rate, _enough(probe, rate, scale.span, careful))
-
-    medium = measure(settle(lambda rate: measure(rate).level, start))
+    curve = tuple(gauge.measure(rate, coarse) for rate in RATES)
+    start, rise = first_crossing([point.level for point in curve])
+    rate = find_rate(lambda rate: gauge.judge(rate, CLOSE).level, start, rise)
+    medium, expert = gauge.measure(rate), gauge.measure(0.0)
     if not BAND[0] <= medium.level <= BAND[1]:
         raise DataError(
             "no mixing rate of the grid gives half the script's return",
-            where=f"{probe.task.name}, horizon {probe.horizon}",
+            where=where,
             expected=f"a level in [{BAND[0]}, {BAND[1]}]",
             found=f"{medium.level} at rate {medium.rate}",
         )
-    curve = tuple(scale.measure(probe, rate, coarse) for rate in RATES[1:-1])
-    expert = measure(0.0)
     return Calibration(
         task=probe.task.name,
-        horizon=probe.horizon,
+        horizon=horizon,
         rate=medium.rate,
         level=medium.level,
-        random=measure(1.0),
+        random=gauge.measure(1.0),
         medium=medium,
         expert=expert,
         monotone=is_monotone(curve, expert.level_error),
         curve=curve,
         seed=probe.seed,
-        versions={name: metadata.version(name) for name in ("metaworld", "mujoco", "numpy")},
+        versions=versions(),
+        policy=script_hash(probe.task.name),
     )
 
 
-def _enough(probe: Probe, rate: float, span: float, careful: int) -> int:
-    """Episodes after which the level of `rate` is known to ERROR, in portions of `careful`."""
-    for portion in range(1, PORTIONS + 1):
-        returns, _ = probe.outcomes(rate, portion * careful)
-        if returns.std(ddof=1) / np.sqrt(len(returns)) <= ERROR * span:
-            break
-    return portion * careful
+def versions() -> dict[str, str]:
+    return {name: metadata.version(name) for name in ("metaworld", "mujoco", "numpy")}
+
+
+def script_hash(task_name: str) -> str:
+    """What a calibration holds for: the hash of the expert whose actions are mixed."""
+    return ScriptedPolicy([task_name]).info.hash.hex()
 
 
 def is_monotone(curve: Sequence[Measurement], script_error: float) -> bool:
@@ -253,20 +211,27 @@ def calibrate(
     spec: DatasetSpec,
     target: Path | None = None,
     *,
+    horizons: Sequence[int] = (),
     seed: int = 1,
-    coarse: int = 6,
-    careful: int = 60,
-    on_progress: Callable[[Calibration], None] | None = None,
+    workers: int = 0,
+    restart: bool = False,
+    on_progress: Callable[[str], None] = lambda line: None,
 ) -> Path:
-    """Calibrate every task of a Meta-World spec at its horizon; about a minute per task.
+    """Calibrate every task of a Meta-World spec; about two minutes of processor time each.
+
+    What the target holds already, of the same script, seed and package versions, is kept.
 
     Args:
         target: file to add to; default LOCAL_FILE in the working folder, which the ladder
             prefers to what is shipped.
-        on_progress: called with each result; each is on disk before the next one starts.
+        horizons: default the spec's own.
+        workers: processes, one task each at a time; 0: this one.
+        restart: measure again what the target holds already.
+        on_progress: called with a line per result; each is on disk by then.
 
     Raises: SpecError for a spec whose behaviour is not the script; StorageError, and DataError
-        for a target that is no calibration file, both before anything is measured.
+        for a target that is no calibration file, both before anything is measured; DataError
+        at the end, naming the tasks that cannot be calibrated.
     """
     if spec.behaviour.script != "metaworld":
         raise SpecError(
@@ -276,9 +241,48 @@ def calibrate(
         )
     target = target or local_path()
     check_target(target)
-    for task in spec.resolve_tasks():
-        result = calibrate_task(task.name, spec.horizon, seed=seed, coarse=coarse, careful=careful)
-        save_calibrations(target, [result], RULE)
-        if on_progress is not None:
-            on_progress(result)
+    names = [task.name for task in spec.resolve_tasks()]
+    wanted = [(name, horizon) for name in names for horizon in horizons or (spec.horizon,)]
+    known = set() if restart else _still_valid(target, wanted, seed)
+    if known:
+        on_progress(f"in {target} already: " + ", ".join(f"{n} {h}" for n, h in sorted(known)))
+    jobs = [
+        (name, tuple(h for n, h in wanted if n == name and (n, h) not in known), seed)
+        for name in names
+    ]
+    jobs = [job for job in jobs if job[1]]
+    faults: list[DataError] = []
+    for number, answer in enumerate(map_blocks(_do, jobs, workers), 1):
+        if isinstance(answer, DataError):
+            faults.append(answer)
+            on_progress(f"{number}/{len(jobs)}  {answer}")
+            continue
+        save_calibrations(target, answer, RULE)
+        for found in answer:
+            on_progress(
+                f"{number}/{len(jobs)}  {found.task} {found.horizon}  rate {found.rate:.3f}  "
+                f"level {found.level:.2f} +- {found.medium.level_error:.3f}"
+            )
+    if faults:
+        raise DataError("\n  ".join(["not calibrated:", *map(str, faults)]), where=str(target))
     return target
+
+
+def _do(job: tuple[str, tuple[int, ...], int]) -> list[Calibration] | DataError:
+    """One task in a worker; its failure must not end the others."""
+    name, horizons, seed = job
+    try:
+        return calibrate_task(name, horizons, seed=seed)
+    except DataError as error:
+        return error
+
+
+def _still_valid(target: Path, wanted: Sequence[Place], seed: int) -> set[Place]:
+    """Those places whose entry in `target` rests on today's script, packages and seed."""
+    entries = read_calibrations(target) if target.exists() else {}
+    return {
+        place
+        for place in wanted
+        if (entry := entries.get(place)) is not None
+        and (entry.policy, entry.versions, entry.seed) == (script_hash(place[0]), versions(), seed)
+    }

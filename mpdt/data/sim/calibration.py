@@ -44,9 +44,10 @@ class Calibration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         level: normalised return at `rate`, 0 = uniform actions, 1 = the script alone.
         random, medium, expert: measured at rate 1, `rate` and 0.
         monotone: the curve neither turns nor rises above the script, but for noise.
-        curve: every coarse measurement, from rate 0.95 down to 0.05.
+        curve: every coarse measurement, from the random side to the script's.
         seed: root seed; episodes use family mt50, quality CALIBRATION, block 0, rows 0, 1, ...
         versions: packages the numbers were measured with.
+        policy: hash (hex) of the script that was mixed; "" in files older than this field.
     """
 
     task: str
@@ -60,6 +61,7 @@ class Calibration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     curve: tuple[Measurement, ...]
     seed: int
     versions: dict[str, str]
+    policy: str = ""
 
     def level_at(self, rate: float) -> float:
         """Level of any rate, linear between the measured ones."""
@@ -83,15 +85,15 @@ def load_calibrations(folder: Path | None = None) -> dict[Place, Calibration]:
 
     Raises: DataError for a file that is not a calibration; StorageError.
     """
-    return _read(Path(str(resources.files("mpdt.data.weights"))) / "metaworld.json") | load_local(
-        folder
-    )
+    return read_calibrations(
+        Path(str(resources.files("mpdt.data.weights"))) / "metaworld.json"
+    ) | load_local(folder)
 
 
 def load_local(folder: Path | None = None) -> dict[Place, Calibration]:
     """The calibrations of `folder`/LOCAL_FILE alone. Raises: as `load_calibrations`."""
     path = local_path(folder)
-    return _read(path) if os.path.lexists(path) else {}
+    return read_calibrations(path) if os.path.lexists(path) else {}
 
 
 def local_path(folder: Path | None = None) -> Path:
@@ -99,7 +101,8 @@ def local_path(folder: Path | None = None) -> Path:
     return (folder or Path()) / LOCAL_FILE
 
 
-def _read(path: Path) -> dict[Place, Calibration]:
+def read_calibrations(path: Path) -> dict[Place, Calibration]:
+    """The calibrations of one file. Raises: as `load_calibrations`."""
     try:
         book = msgspec.json.decode(path.read_bytes(), type=_Book)
     except OSError as error:
@@ -121,7 +124,7 @@ def check_target(path: Path) -> None:
     """
     check_replaceable(path)
     if path.exists():
-        _read(path)
+        read_calibrations(path)
 
 
 def save_calibrations(path: Path, entries: Sequence[Calibration], rule: str) -> None:
@@ -132,7 +135,7 @@ def save_calibrations(path: Path, entries: Sequence[Calibration], rule: str) -> 
 
     Raises: DataError if something else is in `path`; StorageError where the disk refuses.
     """
-    merged = _read(path) if path.exists() else {}
+    merged = read_calibrations(path) if path.exists() else {}
     merged |= {(entry.task, entry.horizon): entry for entry in entries}
     lines = ",\n".join(canonical_json(merged[key]).decode() for key in sorted(merged))
     head = f'{{"format":{json.dumps(FORMAT)},\n"rule":{json.dumps(rule)},\n"entries":[\n'

@@ -144,7 +144,16 @@ class ScriptLadder:
                 found=f"horizons {known}" if known else "none",
                 hint=f"mpdt-data calibrate {self._spec.name}",
             )
-        return self._calibrations[task.name, horizon]
+        found = self._calibrations[task.name, horizon]
+        if found.policy not in ("", self._script(task, 0.0, -1, -1.0).info.hash.hex()):
+            raise SpecError(
+                f"the mixing rate of '{task.name}' was calibrated with another script",
+                where=self._spec.name,
+                expected="the script this mpdt and this metaworld have",
+                found=f"policy {found.policy[:8]}",
+                hint=f"mpdt-data calibrate {self._spec.name}",
+            )
+        return found
 
     def _rung(self, task: Task, rung: int) -> Policy:
         last = self.num_rungs - 1

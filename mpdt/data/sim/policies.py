@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mpdt.data.episode import PolicyInfo
-from mpdt.data.sim.metaworld import ACTION_SIZE, quiet, scripted_policy
+from mpdt.data.sim.metaworld import ACTION_SIZE, quiet
+from mpdt.data.sim.scripts import Expert, corrections_of
 from mpdt.data.spec.entry import canonical_json
 from mpdt.errors import UsageError
 from mpdt.seeding import SeedKey, Stream
@@ -133,7 +134,7 @@ class ZeroPolicy:
 
 
 class ScriptedPolicy:
-    """Meta-World's scripted expert; with chance `mix_rate` per step a uniform action instead.
+    """The scripted expert (scripts.py); with chance `mix_rate` per step a uniform action instead.
 
         step       0       1       2       3
         coin      .81     .12     .64     .97      stream POLICY, one number per step
@@ -141,10 +142,8 @@ class ScriptedPolicy:
         rate .70  script  random  random  script   a higher rate replaces these and more
 
     Rate 0 is the script alone, rate 1 exactly `UniformPolicy` (coins are in [0, 1)). Random
-    actions are drawn for every step, so those that remain are the same at every rate. Some
-    scripts answer far outside [-1, 1] (the faucets on over 90 % of steps): the answer is
-    clipped here, since what counts as this policy's action is the clipped one. Scripts are
-    functions of one observation and keep no state.
+    actions are drawn for every step, so those that remain are the same at every rate. Experts
+    are functions of one observation, keep no state, and answer within [-1, 1].
 
     Args:
         task_names: Meta-World task of each row, without "-v3".
@@ -168,19 +167,20 @@ class ScriptedPolicy:
                 "mixing rate out of range", expected="a number in [0, 1]", found=str(mix_rate)
             )
         self.task_names, self.mix_rate = tuple(task_names), mix_rate
-        self._scripts: list[Any] | None = None
+        self._scripts: list[Expert] | None = None
         self._coins: npt.NDArray[np.bool_] | None = None
         self._uniform: FloatArray | None = None
+        definition: dict[str, object] = {
+            "kind": "script",
+            # Which rows stand side by side is no part of how one of them acts.
+            "tasks": sorted(set(task_names)),
+            "metaworld": metadata.version("metaworld"),
+            "mix_rate": float(mix_rate),
+        }
+        if corrections := corrections_of(task_names):  # no such key for Meta-World's own script
+            definition["corrections"] = corrections
         self.info = PolicyInfo(
-            hash=definition_hash(
-                {
-                    "kind": "script",
-                    # Which rows stand side by side is no part of how one of them acts.
-                    "tasks": sorted(set(task_names)),
-                    "metaworld": metadata.version("metaworld"),
-                    "mix_rate": float(mix_rate),
-                }
-            ),
+            hash=definition_hash(definition),
             task=task,
             rung=rung,
             level=level,
@@ -192,7 +192,7 @@ class ScriptedPolicy:
     def begin(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray], horizon: int) -> None:
         assert len(keys) == len(self.task_names), "one key per row"
         if self._scripts is None:
-            self._scripts = [scripted_policy(name) for name in self.task_names]
+            self._scripts = [Expert(name) for name in self.task_names]
         coins = [key.generator(Stream.POLICY).random(horizon) for key in keys]
         self._coins = np.stack(coins) < self.mix_rate
         self._uniform = uniform_actions(keys, horizon, ACTION_SIZE, -1.0, 1.0)
@@ -203,6 +203,5 @@ class ScriptedPolicy:
         actions = self._uniform[:, step].copy()
         with quiet():  # scripts warn whenever they answer outside [-1, 1]
             for row in np.flatnonzero(~self._coins[:, step]):
-                script = self._scripts[row]
-                actions[row] = np.clip(script.get_action(observations[row]), -1.0, 1.0)
+                actions[row] = self._scripts[row].act(observations[row])
         return actions

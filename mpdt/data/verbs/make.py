@@ -220,21 +220,28 @@ class Pretrain(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Options):
-    """Find the mixing rate that makes each Meta-World script `medium`; a minute per task.
+    """Find the mixing rate that makes each Meta-World script `medium`; minutes per task.
 
-    The rates of the shipped entries are shipped too. Those measured here win over them in
-    every collection started from this folder; delete the file to go back.
+    The rates of all tasks at 200 and 500 steps are shipped. Those measured here win over them
+    in every collection started from this folder; delete the file to go back. Stop and start
+    it as you like: what the file holds already is kept.
 
     Examples:
       mpdt-data calibrate ml10
-      mpdt-data calibrate ml10 -o rates.json
-      mpdt-data calibrate ml10 --seed 2 --quiet
+      mpdt-data calibrate ml10 --horizons 100,300 -o rates.json
+      mpdt-data calibrate ml10 --seed 2 --restart
     """
 
     name: Name
     """Entry of datasets.yaml with scripted behaviour."""
+    horizons: Names = ()
+    """Episode lengths in steps; default: the entry's own."""
     seed: int = 1
     """Root seed of the measured episodes."""
+    workers: Workers = None
+    """Processes; default one per core."""
+    restart: bool = False
+    """Measure again what the file holds already."""
     output: Output = None
     """File to add the rates to; default: where collect looks for them, here."""
     spec: Annotated[Path | None, arg(metavar="YAML")] = None
@@ -242,12 +249,24 @@ class Calibrate(Options):
 
     def run(self) -> None:
         from mpdt.data.sim.calibrate import calibrate
+        from mpdt.data.sim.engines import default_workers
         from mpdt.data.spec.catalog import load_catalog
 
         path = calibrate(
-            load_catalog(self.spec).get(self.name), self.output, seed=self.seed,
-            on_progress=lambda found: self.say(
-                f"{found.task}  rate {found.rate:.3f}  level {found.level:.2f}"
-            ),
+            load_catalog(self.spec).get(self.name), self.output,
+            horizons=_steps(self.horizons), seed=self.seed, restart=self.restart,
+            workers=default_workers() if self.workers is None else self.workers,
+            on_progress=self.say,
         )  # fmt: skip
         self.print({"path": str(path)}, f"wrote  {path}")
+
+
+def _steps(words: Names) -> tuple[int, ...]:
+    """Episode lengths out of `--horizons`. Raises: UsageError for what is no length."""
+    from mpdt.errors import UsageError
+
+    names = split_names(words)
+    if wrong := [name for name in names if not name.isdigit() or int(name) == 0]:
+        raise UsageError("not an episode length", where="--horizons",
+                         expected="steps, such as 200,500", found=wrong[0])  # fmt: skip
+    return tuple(int(name) for name in names)

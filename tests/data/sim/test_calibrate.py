@@ -10,11 +10,11 @@ from mpdt.data.sim import calibrate as module
 from mpdt.data.sim.calibrate import (
     RATES,
     RULE,
-    Probe,
     calibrate,
     calibrate_task,
     find_rate,
-    settle,
+    first_crossing,
+    script_hash,
 )
 from mpdt.data.sim.calibration import (
     LOCAL_FILE,
@@ -23,140 +23,108 @@ from mpdt.data.sim.calibration import (
     save_calibrations,
 )
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
+from mpdt.data.spec.tasks import get_family
 from mpdt.errors import DataError, SpecError, StorageError
 
 
-def interpolated(*points):
-    """A level curve through (rate, level), and the list of what was asked."""
-    rates, levels = zip(*sorted(points), strict=True)
-    asked = []
-
-    def level(rate, careful):
-        asked.append((rate, careful))
-        return float(np.interp(rate, rates, levels))
-
-    return level, asked
+def test_the_coarse_curve_leaves_out_its_known_ends():
+    assert RATES == (0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
 
 
-def test_rates_walk_from_random_to_script():
-    assert RATES[:3] == (1.0, 0.95, 0.9) and RATES[-2:] == (0.05, 0.0) and len(RATES) == 21
+def test_a_straight_curve_is_crossed_in_its_middle():
+    # level = 1 - rate; averaging neighbours changes no straight line
+    assert first_crossing([1 - rate for rate in RATES]) == (0.5, pytest.approx(1.0))
 
 
-def test_straight_curve_is_crossed_in_its_middle():
-    level, asked = interpolated((0.0, 1.0), (1.0, 0.0))
-    assert find_rate(level) == 0.5
-    # walked 0.95 .. 0.5 coarsely, then 0.5, 0.55 and the half step 0.525 carefully
-    assert asked == [(rate, False) for rate in RATES[1:11]] + [
-        (0.5, True),
-        (0.55, True),
-        (0.525, True),
-    ]
-
-
-def test_a_step_inside_the_grid_is_halved():
-    # level 0.5 at rate 0.53: nearest multiple of 0.025 is 0.525, not 0.50 or 0.55
-    level, _ = interpolated((0.0, 1.0), (0.5, 0.65), (0.56, 0.35), (1.0, 0.0))
-    assert find_rate(level) == 0.525
+def test_a_step_is_crossed_between_its_ends():
+    # smoothed: 0.25 at rate 0.3 and 0.75 at 0.2
+    assert first_crossing([0, 0, 0, 0, 0, 0, 0, 1, 1]) == (0.25, pytest.approx(5.0))
 
 
 def test_a_turning_curve_gives_the_first_crossing_from_the_random_side():
-    # Crosses 0.5 at 0.8, falls under it at 0.5, rises again to the script.
-    level, _ = interpolated((0, 1), (0.4, 0.3), (0.5, 0.4), (0.7, 1.3), (0.8, 0.5), (1, 0))
-    assert find_rate(level) == 0.8
+    # smoothed: 0.3 at 0.9 and 0.775 at 0.8; 0.9 - 0.1 * 0.2 / 0.475 = 0.858
+    found = first_crossing([0.2, 0.8, 1.3, 0.9, 0.4, 0.3, 0.6, 0.8, 0.9])
+    assert found == (0.86, pytest.approx(4.75))
 
 
-def test_a_lucky_coarse_level_does_not_stop_the_walk():
-    honest, _ = interpolated((0.0, 1.0), (1.0, 0.0))
-
-    def level(rate, careful):
-        return 0.9 if rate == 0.9 and not careful else honest(rate, careful)
-
-    assert find_rate(level) == 0.5
+def test_one_lucky_level_is_outvoted_by_its_neighbours():
+    # 0.7 at rate 0.8 becomes (0.1 + 1.4 + 0.3) / 4 = 0.45
+    lucky = [1 - rate for rate in RATES]
+    lucky[1] = 0.7
+    assert first_crossing(lucky)[0] == 0.5
 
 
-def test_an_unlucky_coarse_level_is_walked_back():
-    honest, _ = interpolated((0.0, 1.0), (1.0, 0.0))
-
-    def level(rate, careful):
-        return honest(rate, careful) if careful or rate < 0.4 else 0.0
-
-    assert find_rate(level) == 0.5
-
-
-def test_only_the_clean_script_is_good():
-    level, _ = interpolated((0.0, 0.1), (1.0, 0.0))
-    assert find_rate(level) in (0.025, 0.0)  # as far as the grid goes; the band refuses it
-
-
-def visited(levels, start):
+def visited(level, start, rise):
     seen = []
-    answer = settle(lambda rate: seen.append(rate) or levels[rate], start)
+    answer = find_rate(lambda rate: seen.append(rate) or level(rate), start, rise)
     return answer, seen
 
 
-def test_settling_walks_towards_one_half_and_takes_the_nearest():
-    assert visited({0.5: 0.52}, 0.5) == (0.5, [0.5])  # close enough
-    # too low: less random, until it is close
-    assert visited({0.5: 0.4, 0.475: 0.46, 0.45: 0.48}, 0.5) == (0.45, [0.5, 0.475, 0.45])
-    # too high: more random; here one step goes past the half, and the nearer one stays
-    assert visited({0.5: 0.56, 0.525: 0.45}, 0.5) == (0.525, [0.5, 0.525])
-    assert visited({0.5: 0.54, 0.525: 0.45}, 0.5) == (0.5, [0.5, 0.525])
-    assert visited({0.025: 0.2}, 0.025) == (0.025, [0.025])  # rate 0 is expert, not medium
+def test_search_follows_the_slope_until_it_is_close():
+    assert visited(lambda rate: 1 - rate, 0.47, 1.0) == (0.47, [0.47])  # 0.53 is close enough
+    assert visited(lambda rate: 1 - rate, 0.44, 1.0) == (0.5, [0.44, 0.5])
+    # 0.3 away by the slope, but one step goes 0.1 at most
+    assert visited(lambda rate: 1 - rate, 0.8, 1.0)[1] == [0.8, 0.7, 0.6, 0.5]
+
+
+def test_search_interpolates_between_both_sides():
+    levels = {0.6: 0.2, 0.5: 0.7, 0.54: 0.5}  # 0.5 + 0.1 * (0.7 - 0.5) / (0.7 - 0.2)
+    assert visited(levels.get, 0.6, 2.0) == (0.54, [0.6, 0.5, 0.54])
+
+
+def test_search_ends_where_the_grid_does():
+    # 0.9 up to rate 0.30 and 0.1 from 0.31 on: equally far, so the more random one
+    answer, seen = visited(lambda rate: 0.9 if rate < 0.305 else 0.1, 0.3, 10.0)
+    assert seen == [0.3, 0.34, 0.32, 0.31] and answer == 0.34
+    # rate 0 is the expert and 1 is random, neither is medium
+    assert visited(lambda rate: 0.1, 0.01, 10.0) == (0.01, [0.01])
+    assert visited(lambda rate: 0.9, 0.99, 10.0) == (0.99, [0.99])
 
 
 class FakeProbe:
     """Returns 100 at rate 1 and 500 at rate 0, straight in between, +-4 by row.
 
-    Task "rare" has an outlier of +100 in its first episode at rate 0.5 only.
+    Half of it at 200 steps. "bad" falls towards the script, "jump" has no middle.
     """
 
-    def __init__(self, task_name, horizon, seed):
-        self.task, self.horizon, self.seed = SimpleNamespace(name=task_name), horizon, seed
-        self.slope = {"good": 400.0, "bad": -10.0}.get(task_name, 400.0)
-        self.jump = task_name == "jump"
+    def __init__(self, task_name, seed):
+        self.task, self.seed = SimpleNamespace(name=task_name), seed
 
-    def outcomes(self, rate, num_episodes):
-        share = float(rate < 0.31) if self.jump else 1 - rate
-        noise = 4.0 * (-1.0) ** np.arange(num_episodes)
-        if self.task.name == "rare" and rate == 0.5:
-            noise[0] += 100.0
-        return 100.0 + self.slope * share + noise, np.full(num_episodes, float(rate < 0.5))
+    def outcomes(self, rate, horizon, num_episodes):
+        slope = -10.0 if self.task.name == "bad" else 400.0
+        share = float(rate < 0.305) if self.task.name == "jump" else 1 - rate
+        returns = 100.0 + slope * share + 4.0 * (-1.0) ** np.arange(num_episodes)
+        scale = 0.5 if horizon == 200 else 1.0
+        return scale * returns, np.full(num_episodes, float(rate < 0.5))
 
 
-def test_calibrate_task_measures_the_level_it_reports(monkeypatch):
+@pytest.fixture
+def fake_probe(monkeypatch):
     monkeypatch.setattr(module, "Probe", FakeProbe)
-    found = calibrate_task("good", 500, coarse=2, careful=4)
-    assert (found.rate, found.level) == (0.5, 0.5)
+    monkeypatch.setattr(module, "script_hash", lambda name: f"hash of {name}")
+
+
+def test_calibrate_task_measures_the_level_it_reports(fake_probe):
+    found, short = calibrate_task("good", [200, 500], coarse=2, careful=4)
+    assert (found.horizon, found.rate, found.level) == (500, 0.5, 0.5)
     assert [m.mean_return for m in (found.random, found.medium, found.expert)] == [100, 300, 500]
     assert found.medium.episodes == 4 and found.curve[0].episodes == 2
     assert found.expert.success == 1.0 and found.random.success == 0.0
     # std of (4, -4, 4, -4) with ddof 1 is 4.6188; / 400 / sqrt(4)
     assert found.medium.level_error == pytest.approx(0.0058, abs=5e-5)
-    assert found.monotone and len(found.curve) == 19
-    assert found.versions["metaworld"] == "3.1.1"
-    # level of an unmeasured rate: half way between 0.30 (0.70) and 0.35 (0.65)
-    assert found.level_at(0.325) == pytest.approx(0.675)
+    assert found.monotone and len(found.curve) == 9
+    assert found.versions["metaworld"] == "3.1.1" and found.policy == "hash of good"
+    # level of an unmeasured rate: half way between 0.30 (0.70) and 0.40 (0.60)
+    assert found.level_at(0.35) == pytest.approx(0.65)
     assert (found.level_at(1.0), found.level_at(0.0)) == (0.0, 1.0)
+    assert (short.horizon, short.expert.mean_return, short.level) == (200, 250, 0.5)
 
 
-def test_noisy_rates_get_more_episodes_up_to_a_limit(monkeypatch):
-    monkeypatch.setattr(module, "Probe", FakeProbe)
-    found = calibrate_task("rare", 500, coarse=2, careful=4)
-    assert found.random.episodes == found.expert.episodes == 4
-    probe = FakeProbe("rare", 500, 1)
-    # (104, -4, 4, -4, ...): std / sqrt(n) is 26.4, 13.1, 8.8 for n = 4, 8, 12; 0.025 * 400 = 10
-    assert module._enough(probe, 0.5, 400.0, 4) == 12
-    assert module._enough(probe, 0.5, 40.0, 4) == 16  # never more than four portions
-    assert module._enough(probe, 0.4, 400.0, 4) == 4
-    assert found.level == pytest.approx(0.5, abs=0.03)
-
-
-def test_a_script_below_random_or_without_a_middle_is_refused(monkeypatch):
-    monkeypatch.setattr(module, "Probe", FakeProbe)
+def test_a_script_below_random_or_without_a_middle_is_refused(fake_probe):
     with pytest.raises(DataError, match="earns no more than uniform actions"):
-        calibrate_task("bad", 500, coarse=2, careful=4)
+        calibrate_task("bad", [500], coarse=2, careful=4)
     with pytest.raises(DataError, match=r"no mixing rate .* a level in \[0.4, 0.6\]"):
-        calibrate_task("jump", 500, coarse=2, careful=4)
+        calibrate_task("jump", [500], coarse=2, careful=4)
 
 
 def point(rate, level, error=0.01):
@@ -171,17 +139,6 @@ def test_monotone_allows_a_tenth_and_two_errors_and_no_more():
     assert not module.is_monotone(above, 0.0)
     assert module.is_monotone(above, 0.02)  # the script itself is known no better
     assert module.is_monotone([point(0.9, 0.5), point(0.5, 1.13, error=0.02)], 0.0)
-
-
-def test_probe_repeats_itself_and_tells_rates_apart():
-    first, again = Probe("reach", 30, seed=3), Probe("reach", 30, seed=3)
-    returns, successes = first.outcomes(0.5, 2)
-    # asked in another order and in two portions: the same numbers
-    again.outcomes(0.0, 1)
-    again.outcomes(0.5, 1)
-    np.testing.assert_array_equal(again.outcomes(0.5, 2)[0], returns)
-    assert returns[0] != returns[1] and successes.tolist() == [0.0, 0.0]
-    assert (first.outcomes(0.0, 2)[0] > first.outcomes(1.0, 2)[0]).all()
 
 
 def make_spec(script="metaworld", horizon=500, **kwargs):
@@ -200,21 +157,48 @@ def make_spec(script="metaworld", horizon=500, **kwargs):
     )
 
 
-def test_calibrate_writes_each_task_where_the_ladder_looks(monkeypatch, tmp_path):
-    monkeypatch.setattr(module, "Probe", FakeProbe)
+def test_calibrate_goes_on_where_it_was_stopped(fake_probe, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    done = []
-    path = calibrate(make_spec(horizon=77), coarse=2, careful=4, on_progress=done.append)
-    assert path.name == LOCAL_FILE and [entry.task for entry in done] == ["reach", "push"]
-    found = load_calibrations(tmp_path)
-    assert found["reach", 77] == done[0] and found["push", 77] == done[1]
+    said = []
+    path = calibrate(make_spec(horizon=77), on_progress=said.append)
+    assert path.name == LOCAL_FILE and [line[:13] for line in said] == [
+        "1/2  reach 77",
+        "2/2  push 77 ",
+    ]
+    assert set(load_calibrations(tmp_path)) >= {("reach", 77), ("push", 77)}
+    # another horizon is new, the first one is kept
+    said.clear()
+    calibrate(make_spec(), horizons=[77, 33], on_progress=said.append)
+    assert said[0] == f"in {LOCAL_FILE} already: push 77, reach 77"
+    assert [line[:13] for line in said[1:]] == ["1/2  reach 33", "2/2  push 33 "]
+    # another seed or script, or --restart, is measured again
+    for change in ({"seed": 2}, {"seed": 2, "restart": True}):
+        said.clear()
+        calibrate(make_spec(horizon=77), on_progress=said.append, **change)
+        assert len(said) == 2
+    monkeypatch.setattr(module, "script_hash", lambda name: f"better {name}")
+    said.clear()
+    calibrate(make_spec(horizon=77), seed=2, on_progress=said.append)
+    assert len(said) == 2
+    assert load_calibrations(tmp_path)["reach", 77].policy == "better reach"
     with pytest.raises(SpecError, match="nothing to calibrate"):
         calibrate(make_spec(script=None))
 
 
-def test_file_is_sorted_merged_strict_and_above_the_shipped_one(monkeypatch, tmp_path):
-    monkeypatch.setattr(module, "Probe", FakeProbe)
-    one = calibrate_task("reach", 500, coarse=2, careful=4)
+def test_one_task_that_fails_does_not_stop_the_others(fake_probe, monkeypatch, tmp_path):
+    real = module.calibrate_task
+
+    def fails(name, horizons, *, seed):
+        return real("jump" if name == "reach" else name, horizons, seed=seed)
+
+    monkeypatch.setattr(module, "calibrate_task", fails)
+    with pytest.raises(DataError, match="not calibrated:\n  jump, horizon 500: no mixing rate"):
+        calibrate(make_spec(), tmp_path / "rates.json")
+    assert list(module.read_calibrations(tmp_path / "rates.json")) == [("push", 500)]
+
+
+def test_file_is_sorted_merged_strict_and_above_the_shipped_one(fake_probe, tmp_path):
+    (one,) = calibrate_task("reach", [500], coarse=2, careful=4)
     other = msgspec.structs.replace(one, task="a-task", horizon=3)
     path = tmp_path / LOCAL_FILE
     save_calibrations(path, [one], RULE)
@@ -236,20 +220,22 @@ def test_file_is_sorted_merged_strict_and_above_the_shipped_one(monkeypatch, tmp
         load_calibrations(tmp_path)
 
 
-def test_shipped_calibration_puts_medium_between_random_and_expert():
-    from mpdt.data.spec.tasks import get_family
+SHIPPED = [(task.name, horizon) for task in get_family("mt50").tasks for horizon in (200, 500)]
 
-    shipped = load_calibrations()
-    for task in get_family("ml10").tasks:
-        entry = shipped[task.name, 500]
-        assert 0.40 <= entry.level <= 0.60, task.name
-        assert 0.0 < entry.rate < 1.0
-        returns = [m.mean_return for m in (entry.random, entry.medium, entry.expert)]
-        assert returns == sorted(returns) and len(set(returns)) == 3, task.name
-        level = (returns[1] - returns[0]) / (returns[2] - returns[0])
-        assert level == pytest.approx(entry.level, abs=1e-4)
-        assert entry.medium.episodes >= 20
-        assert entry.versions["mujoco"] == "3.3.0" and entry.versions["metaworld"] == "3.1.1"
+
+@pytest.mark.parametrize("place", SHIPPED, ids=lambda place: f"{place[0]}-{place[1]}")
+def test_shipped_calibration_puts_medium_between_random_and_expert(place):
+    entry = load_calibrations()[place]
+    returns = [m.mean_return for m in (entry.random, entry.medium, entry.expert)]
+    assert returns[0] < returns[1] < returns[2]
+    level = (returns[1] - returns[0]) / (returns[2] - returns[0])
+    assert level == pytest.approx(entry.level, abs=1e-4)
+    assert 0.40 <= level <= 0.60
+    assert (entry.random.rate, entry.medium.rate, entry.expert.rate) == (1.0, entry.rate, 0.0)
+    assert 0.0 < entry.rate < 1.0
+    assert entry.medium.level_error <= 0.05 and entry.medium.episodes >= 20
+    assert entry.versions["mujoco"] == "3.3.0" and entry.versions["metaworld"] == "3.1.1"
+    assert entry.policy == script_hash(entry.task)  # measured with the expert of today
 
 
 def test_a_target_that_cannot_be_written_is_refused_before_measuring(monkeypatch, tmp_path):

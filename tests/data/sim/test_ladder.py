@@ -133,6 +133,17 @@ def test_missing_calibration_says_how_to_make_one(folder, tmp_path):
     assert ladder.policy(REACH, "history", 2 * STRIDE)[0].info.level == -1.0
 
 
+def test_a_rate_of_another_script_is_refused(folder):
+    entry = load_local(folder)["reach", 123]
+    own = ScriptedPolicy(["reach"]).info.hash.hex()
+    save_calibrations(folder / LOCAL_FILE, [msgspec.structs.replace(entry, policy=own)], RULE)
+    assert load_ladder(make_spec(), folder).policy(REACH, "medium", 0)[0].mix_rate == 0.7
+    other = msgspec.structs.replace(entry, policy="ab" * 32)
+    save_calibrations(folder / LOCAL_FILE, [other], RULE)
+    with pytest.raises(SpecError, match=r"'reach' was calibrated with another script.*abababab"):
+        load_ladder(make_spec(), folder)
+
+
 def test_a_local_rate_wins_and_is_told(folder, tmp_path, monkeypatch):
     """Shipped for reach at 500 steps is another rate than 0.2; push stays the shipped one."""
     (entry, *_) = load_local(folder).values()

@@ -108,6 +108,17 @@ def test_mixing_replaces_where_the_coin_says_and_nests_over_rates(reach):
         assert abs(coins.mean() - rate) < 0.08
 
 
+def test_only_a_corrected_script_is_told_from_meta_worlds_own():
+    """Data of uncorrected tasks made before there were corrections keep their hash."""
+    plain = b'{"kind":"script","metaworld":"3.1.1","mix_rate":0.5,"tasks":["reach"]}'
+    assert ScriptedPolicy(["reach"], 0.5).info.hash == hashlib.sha256(plain).digest()
+    corrected = (
+        b'{"corrections":{"window-open":{"rule":"touch_handle","version":1}},'
+        b'"kind":"script","metaworld":"3.1.1","mix_rate":0.0,"tasks":["window-open"]}'
+    )
+    assert ScriptedPolicy(["window-open"]).info.hash == hashlib.sha256(corrected).digest()
+
+
 @pytest.mark.parametrize("rate", [-0.1, 1.5, float("nan")])
 def test_rate_outside_the_unit_interval_is_refused(rate):
     with pytest.raises(

@@ -1,0 +1,124 @@
+"""Probe: returns of one Meta-World task at any mixing rate and horizon, each simulated once.
+
+    record of a rate   row 0  r r r r r r r r     an episode of 500 steps begins with the one
+                       row 1  r r r r r r r r     of 200 (same goal, coins and actions), so
+                              '--200--'           one record answers for both horizons
+                              '----- 500 ----'
+
+All rates of a task are measured on the same goals, coins and uniform actions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mpdt.data.sim.batch import BatchEnv, FloatArray
+from mpdt.data.sim.calibration import Measurement
+from mpdt.data.sim.collect import run_block
+from mpdt.data.sim.policies import ScriptedPolicy
+from mpdt.data.sim.simulators import make_batch
+from mpdt.data.spec.tasks import get_family
+from mpdt.seeding import Quality, SeedKey
+
+
+@dataclass(frozen=True)
+class _Record:
+    rewards: npt.NDArray[np.float32]  # (T,)
+    successes: npt.NDArray[np.bool_]  # (T,)
+
+
+class Probe:
+    """Plays episodes of one task and keeps their rewards, so that nothing is played twice."""
+
+    def __init__(self, task_name: str, seed: int) -> None:
+        # mt50 holds every task, so a calibration does not depend on the family that asked.
+        self._family = get_family("mt50")
+        self.task = self._family.task(task_name)
+        self.seed = seed
+        self._env: BatchEnv = make_batch(self._family, [self.task])
+        self._records: dict[float, list[_Record]] = {}
+
+    def outcomes(
+        self, rate: float, horizon: int, num_episodes: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Returns and successes (0 or 1) of the first `num_episodes` episodes, (N,) each."""
+        records = self._records.setdefault(rate, [])
+        for row in range(num_episodes):
+            if row == len(records):
+                records.append(self._play(rate, horizon, row))
+            elif len(records[row].rewards) < horizon:
+                records[row] = self._play(rate, horizon, row)
+        chosen = records[:num_episodes]
+        returns = [record.rewards[:horizon].sum(dtype=np.float64) for record in chosen]
+        successes = [float(record.successes[:horizon].any()) for record in chosen]
+        return np.array(returns), np.array(successes)
+
+    def _play(self, rate: float, horizon: int, row: int) -> _Record:
+        key = SeedKey(
+            self.seed, self._family.id, self.task.index, Quality.CALIBRATION, 0, row
+        )  # fmt: skip
+        policy = ScriptedPolicy([self.task.name], rate)
+        (episode,) = run_block(self._env, policy, [key], horizon=horizon, quality=-1, progress=-1.0)
+        assert episode.successes is not None, "Meta-World tells success"
+        return _Record(episode.rewards, episode.successes)
+
+
+class Gauge:
+    """Levels of one task at one horizon: 0 = uniform actions, 1 = the script alone.
+
+    Args:
+        portion: episodes are played in portions of this size, at most `portions` of them,
+            until what is asked for is known to `error` (standard error of the level).
+    """
+
+    def __init__(
+        self, probe: Probe, horizon: int, *, portion: int, portions: int, error: float
+    ) -> None:
+        self._probe, self._horizon = probe, horizon
+        self._portion, self._portions, self._error = portion, portions, error
+        self.low, self.span = 0.0, 1.0
+        self._rescale(portion, portion)
+        if self.span > 0:  # enough episodes need a span, and the span needs enough episodes
+            self._rescale(self._enough(1.0), self._enough(0.0))
+
+    def measure(self, rate: float, num_episodes: int | None = None) -> Measurement:
+        """Level of a rate, of so many episodes; None: until it is known to `error`."""
+        if num_episodes is None:
+            num_episodes = self._enough(rate)
+        returns, successes = self._probe.outcomes(rate, self._horizon, num_episodes)
+        return Measurement(
+            rate=rate,
+            episodes=num_episodes,
+            mean_return=round(float(returns.mean()), 3),
+            success=round(float(successes.mean()), 4),
+            level=round(float((returns.mean() - self.low) / self.span), 4),
+            level_error=round(self._level_error(returns), 4),
+        )
+
+    def judge(self, rate: float, close: float) -> Measurement:
+        """`measure`, but stops as soon as the level is clearly not within `close` of 0.5."""
+        for portions in range(1, self._portions + 1):
+            found = self.measure(rate, portions * self._portion)
+            off = abs(found.level - 0.5)
+            if found.level_error <= self._error or off > close + found.level_error:
+                break
+        return found
+
+    def _enough(self, rate: float) -> int:
+        for portions in range(1, self._portions + 1):
+            num_episodes = portions * self._portion
+            returns, _ = self._probe.outcomes(rate, self._horizon, num_episodes)
+            if self._level_error(returns) <= self._error:
+                break
+        return num_episodes
+
+    def _level_error(self, returns: FloatArray) -> float:
+        return float(returns.std(ddof=1) / self.span / np.sqrt(len(returns)))
+
+    def _rescale(self, num_random: int, num_script: int) -> None:
+        self.low = float(self._probe.outcomes(1.0, self._horizon, num_random)[0].mean())
+        high = float(self._probe.outcomes(0.0, self._horizon, num_script)[0].mean())
+        self.span = high - self.low
