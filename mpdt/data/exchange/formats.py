@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mpdt.data.exchange import mtdiff, npz, promptdt
+from mpdt.data.exchange import minari, mtdiff, npz, promptdt
 from mpdt.data.exchange.folder import appearing
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.exchange.treatment import Rules
-from mpdt.errors import unknown_name
+from mpdt.errors import UsageError, unknown_name
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Format:
 
 
 FORMATS: dict[str, Format] = {
+    "minari": Format(minari.read, minari.write),
     "npz": Format(npz.read, npz.write),
     "promptdt": Format(promptdt.read, promptdt.write, promptdt.LOST),
     "mtdiff": Format(mtdiff.read, None),
@@ -47,14 +48,21 @@ def read(name: str, paths: Sequence[Path], rules: Rules | None, file_name: str) 
     return readers[name](paths, rules, file_name)
 
 
-def write(name: str, selection: Selection, target: Path) -> str:
+def write(name: str, selection: Selection, target: Path, link: bool = False) -> str:
     """Export to a new folder `target`; returns what the format has no room for.
 
+    Args:
+        link: minari only, see there.
     Raises: UsageError for an unknown format; DataError if `target` exists; StorageError.
     """
     writers = {key: known.write for key, known in FORMATS.items() if known.write}
     if name not in writers:
         raise unknown_name("format", name, writers, where="--to")
+    if link and name != "minari":
+        raise UsageError(f"{name} has no links", where="--link", hint="only minari has")
     with appearing(target) as folder:
-        writers[name](selection, folder)
+        if link:
+            minari.write(selection, folder, link=True)
+        else:
+            writers[name](selection, folder)
     return FORMATS[name].lost

@@ -119,6 +119,8 @@ class Export(Options):
     """minari, parquet, npz, lerobot, d4rl or promptdt."""
     slice: Annotated[str | None, arg(metavar="S")] = None
     """Only this slice; the same as FILE:S."""
+    link: bool = False
+    """minari: refer to FILE's arrays instead of copying them; do not move FILE then."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="FOLDER")] = None
     """Folder to write; default FILE-FMT. Nothing is replaced."""
 
@@ -136,7 +138,7 @@ class Export(Options):
         if not len(chosen.ids):
             raise DataError("an empty slice", where=self.file)
         target = self.output or Path(f"{path.stem}-{self.format}")
-        lost = formats.write(self.format, chosen, target)
+        lost = formats.write(self.format, chosen, target, self.link)
         if lost:
             self.say(f"not in a {self.format} export: {lost}")
         result = {

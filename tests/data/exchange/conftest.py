@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mpdt.data.build import collect
 from mpdt.data.cli import main
+from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 
@@ -63,3 +65,33 @@ def imported(run: Callable[..., int]) -> Callable[..., Dataset]:
         return open_dataset("imported.h5")
 
     return read
+
+
+@pytest.fixture(scope="session")
+def reach(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four real Meta-World episodes of 12 steps, with successes and goals of their own."""
+    path = tmp_path_factory.mktemp("reach") / "reach.h5"
+    spec = DatasetSpec(
+        name="reach", version="2.0.1", family="ml10", tasks=("reach",), horizon=12, seed=5,
+        block=2, behaviour=Behaviour(script="metaworld"), reference=1, license="CC0-1.0",
+        episodes=EpisodeCounts(random=2, expert=2),
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(path.parent)
+        patch.setattr("os.fsync", lambda handle: None)
+        return collect(spec, path, workers=0).dataset.path
+
+
+@pytest.fixture(scope="session")
+def cheetah(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two real random episodes of cheetah_dir's task forward, 12 steps each."""
+    path = tmp_path_factory.mktemp("cheetah") / "cheetah.h5"
+    spec = DatasetSpec(
+        name="cheetah", version="1.0.0", family="cheetah_dir", tasks=("forward",), horizon=12,
+        seed=5, block=2, behaviour=Behaviour(network="cheetah_dir"), reference=1, license="CC0-1.0",
+        episodes=EpisodeCounts(random=2),
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(path.parent)
+        patch.setattr("os.fsync", lambda handle: None)
+        return collect(spec, path, workers=0).dataset.path

@@ -1,0 +1,297 @@
+"""Minari datasets, hdf5 (lossless): one set per task and quality.
+
+    <folder>/mpdt/<family>/<task>/<quality>-v<major>/data/metadata.json, main_data.hdf5
+        episode_0/observations (T+1, D), actions, rewards, terminations, truncations, infos/
+            attrs: id, total_steps, seed, options/goal, options/seed_key, ...
+
+With MINARI_DATASETS_PATH=<folder>, `minari.load_dataset(id)` reads them, and an episode starts
+again with `env.reset(seed=metadata["seed"], options=metadata["options"])` in the recovered
+environment. Source: Minari 0.5.4, storage and dataset modules; written with h5py alone, since
+its own writer splits the feature axis into chunks and needs every episode in memory.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+from mpdt.data.episode import Episode
+from mpdt.data.exchange import foreign, hdf5
+from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.foreign import Source, quality_code, quality_name
+from mpdt.data.exchange.incoming import Incoming
+from mpdt.data.exchange.manifest import KEY, Manifest
+from mpdt.data.exchange.selection import Run, Selection
+from mpdt.data.exchange.treatment import RawEpisode, Rules
+from mpdt.data.spec.tasks import get_family
+from mpdt.data.store.sources import EpisodeSource
+from mpdt.errors import DataError, FormatError, UsageError
+from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
+
+VERSION = "0.5.0"  # readers accept an exact list; all since 0.5.0 have this one in it
+_STEPS = ("observations", "actions", "rewards", "terminations", "truncations")
+_MAIN = "main_data.hdf5"
+
+
+# ---- out ----
+
+
+def write(selection: Selection, folder: Path, link: bool = False) -> None:
+    """One set per task and quality below `folder`.
+
+    Args:
+        link: refer to the arrays of the dataset file by its absolute path instead of copying
+            them; about 3 kB per episode. Whoever moves that file breaks the sets.
+    Raises: OSError; DataError where a linked episode does not read back.
+    """
+    manifest = Manifest.of(selection).to_json()
+    for run in selection.runs():
+        name = _id(selection, run)
+        place = folder / name / "data"
+        place.mkdir(parents=True)
+        with h5py.File(place / _MAIN, "w") as file:
+            for number, i in enumerate(run.ids.tolist()):
+                group = file.create_group(f"episode_{number}")
+                _write_episode(group, selection, i, number, link)
+        if link:
+            _check_links(place / _MAIN, selection, run)
+        metadata = _metadata(selection, run, name) | {KEY: manifest}
+        size = sum(path.stat().st_size for path in place.iterdir())
+        metadata["dataset_size"] = round(size / 1e6, 1)
+        (place / "metadata.json").write_text(json.dumps(metadata), encoding="utf-8")
+
+
+def _id(selection: Selection, run: Run) -> str:
+    family, major = selection.header.family, selection.header.version.partition(".")[0]
+    words = (family, run.task.name, f"{quality_name(run.quality)}-v{major}")
+    return "/".join(["mpdt", *(re.sub(r"[^A-Za-z0-9_-]", "_", word) for word in words)])
+
+
+def _write_episode(
+    group: h5py.Group, selection: Selection, i: int, number: int, link: bool
+) -> None:
+    data, episode = selection.dataset, selection.dataset.episode(i)
+    first, obs_first = int(data.episodes.start[i]), int(data.episodes.obs_start[i])
+    for name in _STEPS:
+        if link:
+            stored = getattr(data.steps, name)
+            source = h5py.VirtualSource(data.path.resolve(), f"steps/{name}", stored.shape,
+                                        stored.dtype)  # fmt: skip
+            rows = (obs_first, episode.length + 1) if name == "observations" else \
+                   (first, episode.length)  # fmt: skip
+            hdf5.linked(group, name, source, slice(rows[0], sum(rows)))
+        else:
+            # Contiguous: h5py's own chunks would split the columns.
+            group.create_dataset(name, data=getattr(episode, name))
+    infos = group.create_group("infos")  # printing an episode fails without the group
+    if episode.successes is not None:
+        at_reset = np.zeros(1, bool)
+        infos.create_dataset("success", data=np.concatenate([at_reset, episode.successes]))
+    group.attrs["id"], group.attrs["total_steps"] = number, episode.length
+    root = data.spec.get("seed")
+    if isinstance(root, int) and episode.seed_key != UNKNOWN_SEED_KEY:
+        group.attrs["seed"] = SeedKey(root, *episode.seed_key).env_seed()
+    options: dict[str, Any] = {
+        "task": data.tasks.names[int(data.episodes.task[i])],
+        "goal": episode.goal,
+        "quality": quality_name(episode.quality),
+        "progress": np.float32(episode.progress),
+        "policy": episode.policy.hex(),
+        "seed_key": np.array(episode.seed_key, np.uint32),
+    }
+    if selection.source_ids is not None:
+        place = int(np.searchsorted(selection.ids, i))
+        options["source"] = selection.source_ids[place]
+    group.attrs.update({f"options/{key}": value for key, value in options.items()})
+
+
+def _check_links(path: Path, selection: Selection, run: Run) -> None:
+    """A virtual dataset whose source is wrong reads as zeros; better to know it now."""
+    with h5py.File(path, "r") as file:
+        for number, i in enumerate(run.ids.tolist()):
+            episode, group = selection.dataset.episode(i), file[f"episode_{number}"]
+            for name in _STEPS:
+                if not np.array_equal(group[name][()], getattr(episode, name)):
+                    raise DataError("links do not show the episodes", where=str(path),
+                                    hint="export without --link")  # fmt: skip
+
+
+def _metadata(selection: Selection, run: Run, name: str) -> dict[str, Any]:
+    data, env = selection.dataset, run.task.env
+    family = get_family(data.family)
+    bound = {"observation": math.inf, "action": family.action_high}
+    spaces = {
+        f"{kind}_space": json.dumps({
+            "type": "Box", "dtype": "float32", "shape": [size],
+            "low": [-bound[kind]] * size, "high": [bound[kind]] * size,
+        })
+        for kind, size in (("observation", data.observation_size), ("action", data.action_size))
+    }  # fmt: skip
+    gym_name = re.sub(r"[^A-Za-z0-9_-]", "_", f"{data.family}-{run.task.name}")
+    spec = EnvSpec(id=f"mpdt/{gym_name}-v0", entry_point=env["entry_point"], kwargs=env["kwargs"])
+    needed = ("mpdt", "mujoco", *(["metaworld"] if family.simulator == "metaworld" else []))
+    low, high = run.task.references["random"].mean, run.task.references["expert"].mean
+    return {
+        "dataset_id": name,
+        "total_episodes": len(run.ids),
+        "total_steps": int(data.episodes.length[run.ids].sum()),
+        "data_format": "hdf5",
+        "jpeg_encoding": False,
+        "minari_version": VERSION,
+        **spaces,
+        "env_spec": spec.to_json(),
+        "requirements": [f"{p}=={data.packages[p]}" for p in needed if p in data.packages],
+        "ref_min_score": None if math.isnan(low) else low,
+        "ref_max_score": None if math.isnan(high) else high,
+        "author": [],
+        "author_email": [],
+        "algorithm_name": quality_name(run.quality),
+        "code_permalink": "",
+        "description": f"{data.name} {data.version}, task {run.task.name}, {data.license}",
+    }
+
+
+# ---- in ----
+
+
+def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
+    """Sets of ours without loss, or sets of others by `rules`, whichever lie below `paths`.
+
+    Raises: UsageError, FormatError, DataError, ShapeError naming set and episode.
+    """
+    sets = [path.parent for path in files_below(paths, ".json") if path.name == "metadata.json"]
+    if not sets:
+        raise UsageError("no Minari dataset there", where=str(paths[0]),
+                         expected="a folder with data/metadata.json in it")  # fmt: skip
+    found = {folder: _read_metadata(folder) for folder in sets}
+    if rules is None and all(KEY in metadata for metadata in found.values()):
+        return _read_own(found)
+    rules = foreign.given(rules)
+    if rules.task is None:
+        known = ", ".join(task.name for task in rules.family.tasks)
+        raise UsageError("of which task?", where="--task", hint=f"one of: {known}")
+    task, quality = rules.family.task(rules.task), quality_code(rules.quality or "unknown")
+    sources = [
+        Source(folder / _MAIN, task, quality, partial(_episodes, folder, metadata, rules.horizon),
+               str(metadata.get("dataset_id", "")))
+        for folder, metadata in found.items()
+    ]  # fmt: skip
+    return foreign.incoming(sources, rules, name)
+
+
+def _read_metadata(folder: Path) -> dict[str, Any]:
+    path = folder / "metadata.json"
+    try:
+        metadata = json.loads(path.read_bytes())
+        form, episodes = metadata["data_format"], metadata["total_episodes"]
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        raise FormatError("not the metadata of a Minari dataset", where=str(path),
+                          found=f"{type(error).__name__}: {error}"[:120]) from error  # fmt: skip
+    if form != "hdf5" or type(episodes) is not int or type(metadata.get(KEY, "")) is not str:
+        raise FormatError("another storage format", where=str(path),
+                          expected="data_format hdf5", found=str(form)[:40])  # fmt: skip
+    found: dict[str, Any] = metadata
+    return found
+
+
+def _episodes(folder: Path, metadata: dict[str, Any], horizon: int) -> Iterator[RawEpisode]:
+    path = folder / _MAIN
+    with hdf5.opened(path) as file:
+        _check_count(file, metadata, path)
+        for number in range(metadata["total_episodes"]):
+            where = f"{path}: episode {number}"
+            group = hdf5.member(file, f"episode_{number}", where)
+            # One row more than allowed is enough to see that there are too many.
+            steps = {name: hdf5.array(group, name, where, (0, horizon + 2)) for name in _STEPS}
+            yield RawEpisode(**steps, successes=_successes(group, where, horizon + 2))
+
+
+def _successes(group: h5py.Group, where: str, rows: int) -> Any:
+    """Of the steps; infos also have a row for the reset."""
+    if "infos" not in group or "success" not in hdf5.member(group, "infos", where):
+        return None
+    return hdf5.array(group, "infos/success", where, (0, rows))[1:]
+
+
+def _check_count(file: h5py.File, metadata: dict[str, Any], path: Path) -> None:
+    if len(file) != metadata["total_episodes"]:
+        raise FormatError("not the number of episodes in its metadata", where=str(path),
+                          expected=str(metadata["total_episodes"]),
+                          found=str(len(file)))  # fmt: skip
+
+
+def _read_own(found: dict[Path, dict[str, Any]]) -> Incoming:
+    manifests = {metadata[KEY]: folder for folder, metadata in found.items()}
+    where = str(min(found))
+    if len(manifests) != 1:
+        raise FormatError("sets of several exports", where=where,
+                          hint="import them one by one")  # fmt: skip
+    manifest = Manifest.from_json(min(manifests), where)
+    entries = [e for folder, metadata in found.items() for e in _entries(folder, metadata)]
+    if len(entries) != manifest.num_episodes:
+        raise DataError("not all sets of the export are there", where=where,
+                        expected=f"{manifest.num_episodes} episodes", found=str(len(entries)),
+                        hint="copy the missing ones, or give --family and --task to import "
+                             "these as foreign data")  # fmt: skip
+    rows = {task.name: row for row, task in enumerate(manifest.header.tasks)}
+    try:
+        entries.sort(key=lambda e: (rows[e.options["task"]], quality_code(e.options["quality"])))
+        sources = [int(e.options["source"]) for e in entries if "source" in e.options]
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError("options of an episode are wrong", where=where,
+                          found=f"{type(error).__name__}: {error}"[:120]) from error  # fmt: skip
+    source = EpisodeSource(
+        _own_episodes(entries, manifest, rows), len(entries), manifest.num_steps, sources or None
+    )
+    return manifest.incoming(source)
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One episode of one of our sets."""
+
+    path: Path
+    number: int
+    options: dict[str, Any]
+
+
+def _entries(folder: Path, metadata: dict[str, Any]) -> Iterator[_Entry]:
+    path = folder / _MAIN
+    with hdf5.opened(path) as file:
+        _check_count(file, metadata, path)
+        for number in range(metadata["total_episodes"]):
+            attributes = hdf5.member(file, f"episode_{number}", str(path)).attrs
+            options = {k.partition("/")[2]: v for k, v in attributes.items() if "options/" in k}
+            yield _Entry(path, number, options)
+
+
+def _own_episodes(
+    entries: Sequence[_Entry], manifest: Manifest, rows: dict[str, int]
+) -> Iterator[Episode]:
+    for path, some in groupby(entries, lambda entry: entry.path):
+        with hdf5.opened(path) as file:
+            for entry in some:
+                where, options = f"{path}: episode {entry.number}", entry.options
+                group = hdf5.member(file, f"episode_{entry.number}", where)
+                rows_read = (0, manifest.num_steps + 1)
+                steps = {name: hdf5.array(group, name, where, rows_read) for name in _STEPS}
+                key = [int(number) for number in options["seed_key"]]
+                yield Episode(
+                    **steps, successes=_successes(group, where, rows_read[1]),
+                    task=manifest.header.tasks[rows[options["task"]]].index,
+                    goal=np.asarray(options["goal"], np.float64),
+                    quality=quality_code(options["quality"]),
+                    progress=float(options["progress"]), policy=bytes.fromhex(options["policy"]),
+                    seed_key=(key[0], key[1], key[2], key[3], key[4]),
+                )  # fmt: skip
