@@ -25,6 +25,10 @@ from mpdt.data.sim.robots import network_inputs
 from mpdt.data.spec.tasks import Family
 from mpdt.seeding import Quality, SeedKey, Stream
 
+CAREFUL = 8
+"""Times the episodes, for the final snapshot and those that may become medium."""
+NEAR = 0.2
+
 
 def describe_rungs(
     family: Family,
@@ -45,18 +49,26 @@ def describe_rungs(
     paths = sorted(work.glob("[0-9]*.safetensors"))
     cache = work / "judged.json"
     judged: dict[str, list[float]] = json.loads(cache.read_text()) if cache.is_file() else {}
-    for done, path in enumerate([None, *paths]):
-        name = path.stem if path else "random"
+
+    def returns_of(path: Path | None, count: int) -> NDArray[np.float64]:
+        name = f"{path.stem if path else 'random'} x{count}"
         if name not in judged:
             weights = load_file(path) if path else None
-            judged[name] = judge(family, weights, episodes, noise, seed, threads).tolist()
+            judged[name] = judge(family, weights, count, noise, seed, threads).tolist()
             with replacing(cache) as temporary, disk(cache):
                 temporary.write_text(json.dumps(judged))
-            say(f"judged {done}/{len(paths)} snapshots")
-    random = np.array(judged["random"])
-    returns = np.array([judged[path.stem] for path in paths])
+            say(f"judged {name}, of {len(paths)} snapshots")
+        return np.array(judged[name])
+
+    random = returns_of(None, CAREFUL * episodes)
+    returns = np.array([returns_of(path, episodes) for path in paths])
     best = 1 + int(returns[1:].mean(axis=1).argmax())  # the untrained one is never final
     returns = returns[: best + 1]
+    returns[best] = returns_of(paths[best], CAREFUL * episodes)
+    # A few episodes find the snapshots near one half; which is nearest needs more.
+    near = np.abs((returns - random) / (returns[-1] - random) - 0.5) <= NEAR
+    for i in np.flatnonzero(near.any(axis=1)):
+        returns[i] = returns_of(paths[i], CAREFUL * episodes)
     levels = (returns - random) / (returns[-1] - random)
     names = [task.name for task in family.tasks]
 
