@@ -7,6 +7,8 @@
     mpdt-train --data ml10.h5 --inputs.return-to-go none --name no-rtg
     mpdt-train settings --preset paper                   every setting and its value
     mpdt-train report runs/ml10-base                     the tables of a finished run
+    mpdt-train adapt runs/ml10-base --data ml10.h5 --adapt.starts infer     no training
+    mpdt-train study first-pass --data-dir data          every method that is not done yet
 
 Results go to stdout, talk to stderr. torch is imported in the bodies, so `--help` is quick.
 """
@@ -19,87 +21,31 @@ import shlex
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import tyro
 
 from mpdt.errors import MpdtError
+from mpdt.train.commands import (
+    COMMANDS,
+    Adapt,
+    Command,
+    Evaluate,
+    Report,
+    Run,
+    Settings,
+    Study,
+)
 
 if TYPE_CHECKING:
     from mpdt.train.config import TrainConfig
+    from mpdt.train.results import Block
+    from mpdt.train.state import StopRequest
 
 PROG = "mpdt-train"
-
-
-@dataclass(frozen=True)
-class Run:
-    """Train on a data file, adapt to its unseen tasks, judge everything in the simulator.
-
-    Runs by default, without a subcommand. A run with the same settings and data in the same
-    folder continues where it stopped. Every setting of every part can be given as well, for
-    example --seed 1, --quality medium, --inputs.return-to-go none, --prompts.length 9;
-    `mpdt-train settings` lists them all. After training, other --adapt, --statistics and
-    --evaluation settings judge the same weights again. Other commands: settings, report.
-    """
-
-    data: str
-    """FILE or FILE:slice, as written by mpdt-data collect or split."""
-    preset: str = "base"
-    """Settings to start from: smoke, demo, base, paper."""
-    method: str | None = None
-    """MPDT, MPDT-E, MPDT-WP, Soft-Prompt, Prompt-DT, MT-BC, LaMo, ...: lays a method over the
-    preset. An unknown name lists them all; default: the preset's own."""
-    adapt: str | None = None
-    """Start of adaptation, such as cross or infer. Short for --adapt.starts."""
-    name: str | None = None
-    """Folder of the run inside the runs folder; default: FILE-preset or FILE-method."""
-    runs_dir: Path = Path("runs")
-    """Where runs are kept."""
-    restart: bool = False
-    """Throw away what an earlier run left in that folder."""
-    steps: int | None = None
-    """Updates of P_c and P_k; the teacher keeps its share. Short for --multitask.steps."""
-    time_limit_s: float = 0.0
-    """End training after so many seconds and judge what there is; the same command trains on.
-    0 = never."""
-    json: bool = False
-    """Print results.json instead of tables."""
-    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
-    """No progress on stderr."""
-    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
-    """Show tracebacks."""
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Every setting of a preset with its value, as it can be given on the command line."""
-
-    preset: str = "base"
-    """smoke, demo, base, paper."""
-    json: bool = False
-    """As JSON instead of one option a line."""
-    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
-    """Show tracebacks."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """Print the tables of a finished run again."""
-
-    folder: tyro.conf.Positional[Path]
-    """The run's folder, such as runs/ml10-base."""
-    json: bool = False
-    """Print results.json instead of tables."""
-    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
-    """Show tracebacks."""
-
-
-Command = Run | Settings | Report
-COMMANDS: dict[str, type[Command]] = {"run": Run, "settings": Settings, "report": Report}
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -143,9 +89,11 @@ def _answer(verb: str, arguments: list[str]) -> int:
 
 
 def execute(command: Command, rest: list[str]) -> int:
-    """Run one parsed command; `rest` are the settings of a run."""
+    """Run one parsed command; `rest` are settings, which not every command takes."""
     if isinstance(command, Run):
         return _run(command, rest)
+    if isinstance(command, Evaluate):
+        return _judge(command, rest)
     if rest:
         from mpdt.errors import UsageError
 
@@ -155,35 +103,104 @@ def execute(command: Command, rest: list[str]) -> int:
         from mpdt.train.show import settings_text
 
         sys.stdout.write(settings_text(get_preset(command.preset), command.json))
-    else:
-        from mpdt.train.show import print_results, read_results
-
-        print_results(read_results(command.folder), command.json)
-    return 0
+        return 0
+    return _study(command) if isinstance(command, Study) else _report(command)
 
 
 def _run(command: Run, rest: list[str]) -> int:
     from mpdt.train.pipeline import run_pipeline
     from mpdt.train.progress import Progress
     from mpdt.train.show import print_results
-    from mpdt.train.state import Stopped, StopRequest
 
     config = parse_settings(command, rest)
     file = Path(command.data.partition(":")[0]).stem
     name = command.name or f"{file}-{command.method or command.preset}"
+
+    def body(stop: StopRequest) -> int:
+        results = run_pipeline(
+            command.data, config, command.runs_dir, name, command.restart,
+            Progress(command.quiet), stop, command.time_limit_s,
+        )  # fmt: skip
+        print_results(results, command.json)
+        return 0
+
+    return _until_stopped(body)
+
+
+def _judge(command: Evaluate, rest: list[str]) -> int:
+    import msgspec
+
+    from mpdt.train.folder import stored_settings
+    from mpdt.train.pipeline import run_pipeline
+    from mpdt.train.progress import Progress
+    from mpdt.train.show import print_results
+
+    stored = stored_settings(command.folder)
+    blocks: tuple[Block, ...] = ("test",) if isinstance(command, Adapt) else ("train", "test")
+    evaluation = msgspec.structs.replace(stored.evaluation, blocks=blocks)
+    config = tyro.cli(
+        type(stored), prog=PROG, args=rest,
+        default=msgspec.structs.replace(stored, evaluation=evaluation),
+    )  # fmt: skip
+
+    def body(stop: StopRequest) -> int:
+        results = run_pipeline(
+            command.data, config, command.folder.parent, command.folder.name, False,
+            Progress(command.quiet), stop, must_be_trained=True,
+        )  # fmt: skip
+        print_results(results, command.json)
+        return 0
+
+    return _until_stopped(body)
+
+
+def _study(command: Study) -> int:
+    from mpdt.train.progress import Progress
+    from mpdt.train.studies import get_study
+    from mpdt.train.study import Places, inspect_cell, run_study
+
+    cells = [cell for cell in get_study(command.name) if command.only in cell.name]
+    places = Places(
+        command.data_dir, command.runs_dir / command.name, command.results_dir / command.name
+    )
+
+    def body(stop: StopRequest) -> int:
+        looked = (inspect_cell(cell, places) for cell in cells)
+        done = run_study(cells, places, Progress(command.quiet), stop)
+        states = []
+        for outcome in looked if command.dry_run else done:
+            line = f"{outcome.state:<8} {outcome.cell.name}  {outcome.note}"
+            sys.stdout.write(line.rstrip() + "\n")
+            sys.stdout.flush()
+            states.append(outcome.state)
+        return 1 if "failed" in states else 0
+
+    return _until_stopped(body)
+
+
+def _report(command: Report) -> int:
+    from mpdt.train.show import print_results, read_results
+    from mpdt.train.summary import is_study, print_study
+
+    if is_study(command.folder):
+        print_study(command.folder, command.output, command.json)
+    else:
+        print_results(read_results(command.folder), command.json)
+    return 0
+
+
+def _until_stopped(body: Callable[[StopRequest], int]) -> int:
+    """The body's exit code, or that of the signal that stopped it, with how to go on."""
+    from mpdt.train.state import Stopped, StopRequest
+
     try:
         with StopRequest().listening() as stop:
-            results = run_pipeline(
-                command.data, config, command.runs_dir, name, command.restart,
-                Progress(command.quiet), stop, command.time_limit_s,
-            )  # fmt: skip
+            return body(stop)
     except Stopped as stopped:
         sys.stderr.write(f"\n{stopped}; saved. Continue with the same command:\n")
         given = [word for word in sys.argv[1:] if word != "--restart"]
         sys.stderr.write(f"  {PROG} {shlex.join(given)}\n")
         return stopped.exit_code
-    print_results(results, command.json)
-    return 0
 
 
 def parse_settings(command: Run, rest: Sequence[str]) -> TrainConfig:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import msgspec
 import numpy as np
@@ -32,17 +32,27 @@ class EvaluationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
     episodes: int = 5
     """Episodes (= evaluation seeds) per task."""
+    train_episodes: int = 0
+    """The same for training tasks, of which there may be dozens; 0 = `episodes`."""
     seed: int = 0
     """Root of the evaluation seeds; apart from the training seed, so runs stay comparable."""
     horizon: int = 0
     """Steps per episode; 0 = the horizon of the data."""
     max_rows: int = 128
     """Simulators held in memory at once; a Meta-World one takes about 21 MiB."""
+    blocks: tuple[Literal["train", "test"], ...] = ("train", "test")
+    """Whose tasks are judged; `test` alone after another adaptation."""
     constants: bool = True
     """Run the best task-blind constant action, which the file holds, for the table."""
 
     def __post_init__(self) -> None:
-        for name, least in (("episodes", 1), ("horizon", 0), ("max_rows", 1), ("seed", 0)):
+        for name, least in (
+            ("episodes", 1),
+            ("train_episodes", 0),
+            ("horizon", 0),
+            ("max_rows", 1),
+            ("seed", 0),
+        ):
             if getattr(self, name) < least:
                 raise UsageError(
                     "setting out of range",

@@ -24,8 +24,8 @@ from typing import Any
 
 from mpdt.data.replacement import disk
 from mpdt.data.store.lock import take_lock
-from mpdt.errors import StorageError, TrainingError, UsageError
-from mpdt.train.config import differences
+from mpdt.errors import MissingFileError, StorageError, TrainingError, UsageError
+from mpdt.train.config import TrainConfig, differences, from_plain
 from mpdt.train.identity import Identity
 from mpdt.train.results import MetricsLog, write_atomic
 
@@ -165,6 +165,21 @@ def _read_config(folder: RunFolder) -> dict[str, Any]:
             hint="choose another --name, or begin anew with --restart",
         )
     return stored
+
+
+def stored_settings(path: Path) -> TrainConfig:
+    """The settings of the run in that folder.
+
+    Raises: MissingFileError, TrainingError for what is no run or one of another version.
+    """
+    folder = RunFolder(path)
+    if not folder.config.exists():
+        raise MissingFileError("no run here", where=str(path),
+                               hint="`mpdt-train --data FILE` makes one")  # fmt: skip
+    stored = _read_config(folder)
+    plain = {**stored["training"], **stored["judging"]}
+    plain.pop("data")
+    return from_plain(plain)
 
 
 def _clear(folder: RunFolder) -> None:

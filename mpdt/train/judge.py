@@ -53,16 +53,20 @@ class Judge:
     def scores(self) -> list[Score]:
         """All rows of the final table. Raises: Stopped after a signal."""
         material, config = self.trainer.material, self.trainer.config
+        blocks = config.evaluation.blocks
         constant = self._constant_action() if config.evaluation.constants else None
         unseen = UnseenTasks(self.trainer, self.trained)
-        with torch.no_grad():
-            prompts = self.trained.prompts.task_prompts()
-        own = unseen.controller(prompts, self.trained.returns)
-        references = self._references("train", material.train_rows, constant)
-        scores = references + self._score("train", config.method, material.train_rows, own)
-        if not material.test_rows:
+        scores, references = list[Score](), list[Score]()
+        if "train" in blocks:
+            with torch.no_grad():
+                prompts = self.trained.prompts.task_prompts()
+            own = unseen.controller(prompts, self.trained.returns)
+            references = self._references("train", material.train_rows, constant)
+            scores = references + self._score("train", config.method, material.train_rows, own)
+        if not material.test_rows or "test" not in blocks:
             return with_verdicts(scores)
-        if material.test_rows == material.train_rows:
+        same = config.evaluation.train_episodes in (0, config.evaluation.episodes)
+        if references and same and material.test_rows == material.train_rows:
             # The same episodes: a trivial policy is run on a task once.
             scores += [msgspec.structs.replace(score, block="test") for score in references]
         else:
@@ -100,9 +104,8 @@ class Judge:
         reads: Reads | None = None,
     ) -> list[Score]:
         settings = self.trainer.config.evaluation
-        result = self._evaluate(
-            f"{block}: {method}", rows, controller, settings.episodes, settings.seed
-        )
+        episodes = (settings.train_episodes if block == "train" else 0) or settings.episodes
+        result = self._evaluate(f"{block}: {method}", rows, controller, episodes, settings.seed)
         random, expert = self._means("random", rows), self._means("expert", rows)
         return scores_of(
             block, method, result.tasks, result.returns, result.successes, random, expert, reads

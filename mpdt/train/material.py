@@ -69,7 +69,8 @@ class Material:
             raise DataError(
                 "no random episodes of the training tasks",
                 where=str(self.dataset.path),
-                hint="use the family's whole file, or --statistics.source training",
+                hint="use the family's whole file, or leave out `infer` and "
+                "--statistics.source random",
             )
         return ids
 

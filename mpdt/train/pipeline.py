@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import os
 import time
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from mpdt.data.replacement import disk
-from mpdt.errors import UsageError
+from mpdt.errors import MissingFileError, UsageError
 from mpdt.model.backbone import from_settings
 from mpdt.train.config import TrainConfig, to_plain
 from mpdt.train.folder import claimed, inspect, locate
@@ -26,6 +27,7 @@ from mpdt.train.show import find_results
 from mpdt.train.state import StopRequest
 
 FORMAT = "mpdt-results/1"
+VERSIONED = ("mpdt", "torch", "transformers", "numpy", "mujoco", "metaworld")
 
 
 def run_pipeline(
@@ -37,8 +39,12 @@ def run_pipeline(
     progress: Progress,
     stop: StopRequest,
     time_limit_s: float = 0.0,
+    must_be_trained: bool = False,
 ) -> dict[str, Any]:
     """Do, continue or look up one run; returns the content of its results.json.
+
+    Args:
+        must_be_trained: judge what is there; train nothing.
 
     Raises: Stopped after a signal, with everything saved that can be; MpdtError for what the
         user can mend, before anything is written or trained where that can be known.
@@ -57,6 +63,9 @@ def run_pipeline(
         progress.say(f"this run is done: {folder.path} (again: --restart)")
         return results
     inspect(folder, identity, restart)
+    if must_be_trained and not folder.weights.exists():
+        raise MissingFileError("no trained weights in this run", where=str(folder.path),
+                               hint=f"mpdt-train --data {data} --name {name}")  # fmt: skip
     stop.check()
     torch.set_num_threads(config.threads or len(os.sched_getaffinity(0)))
     backbone = from_settings(config.backbone)
@@ -155,5 +164,6 @@ def _header(
         "updates_asked": dict(trained.asked),
         "complete": trained.complete,
         "seconds": {phase: round(value, 1) for phase, value in seconds.items()},
+        "versions": {name: version(name) for name in VERSIONED},
         "config": to_plain(config),
     }

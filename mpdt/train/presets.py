@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import msgspec
+
 from mpdt.data.slices.sampler import SamplerSettings
 from mpdt.errors import unknown_name
 from mpdt.model.backbone import BackboneSettings
@@ -44,27 +46,23 @@ def smoke() -> TrainConfig:
 def base() -> TrainConfig:
     """2 CPU cores, no GPU: the first four blocks, in bfloat16 where the processor has it."""
     return TrainConfig(
+        method="MPDT-E",
         backbone=BackboneSettings(depth=4),
         inputs=InputSettings(kind="trained", return_to_go="none"),
         head=HeadSettings(hidden=256),
-        sampler=SamplerSettings(start_bias=30),
+        sampler=SamplerSettings(start_bias=30, tasks_per_update=10),
         optimiser=OptimiserSettings(schedule="cosine"),
         teacher=TeacherSettings(steps=200),
         multitask=MultitaskSettings(steps=600, checkpoint_every=100),
+        adapt=AdaptSettings(starts=("cross", "infer")),
         evaluation=EvaluationSettings(episodes=5),
     )
 
 
 def demo() -> TrainConfig:
     """As `base`, sized for the two tasks of cheetah_dir."""
-    plain = base()
-    return TrainConfig(
-        backbone=plain.backbone,
-        inputs=plain.inputs,
-        head=plain.head,
-        sampler=plain.sampler,
-        optimiser=plain.optimiser,
-        teacher=TeacherSettings(steps=200),
+    return msgspec.structs.replace(
+        base(),
         multitask=MultitaskSettings(steps=400, checkpoint_every=100),
         evaluation=EvaluationSettings(episodes=10),
     )

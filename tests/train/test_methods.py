@@ -61,7 +61,7 @@ def test_every_method_trains_and_is_judged(method, tiny_file, tmp_path):
 def test_a_method_changes_what_it_says_and_nothing_else():
     plain = to_plain(base())
     assert differences(plain, to_plain(apply_method(base(), "MPDT+sparse"))) == [
-        'method: "MPDT" -> "MPDT+sparse"', "multitask.sparse: 0.0 -> 0.2",
+        'method: "MPDT-E" -> "MPDT+sparse"', "multitask.sparse: 0.0 -> 0.2",
     ]  # fmt: skip
     with pytest.raises(UsageError, match=r"unknown method 'Promt-DT' \(did you mean 'Prompt-DT'"):
         apply_method(base(), "Promt-DT")
