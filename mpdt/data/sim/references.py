@@ -166,6 +166,16 @@ def find_records(
     return records
 
 
+def local_notice(records: Mapping[str, Record]) -> str:
+    """How many tasks take references from the working folder, or nothing."""
+    count = sum(
+        any(reference.source == "local" for reference in (*r.by_name.values(), *r.constants))
+        for r in records.values()
+    )
+    plural = "s" if count != 1 else ""
+    return f"references of {count} task{plural} from ./{LOCAL_FILE}" if count else ""
+
+
 def load_shipped() -> dict[Place, Entry]:
     """The entries mpdt comes with. Raises: as `load_entries`."""
     return load_entries(Path(str(resources.files("mpdt.data.weights"))) / "references.json")

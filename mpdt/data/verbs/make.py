@@ -54,13 +54,14 @@ class Plans(Options):
         """
         from mpdt.data.plan import make_plan
         from mpdt.data.sim.ladder import load_ladder
-        from mpdt.data.sim.references import find_records
+        from mpdt.data.sim.references import find_records, local_notice
 
         spec = self.chosen_spec()
         ladder = load_ladder(spec)
         plan = make_plan(spec, find_records(spec, ladder))
-        if ladder.notice:
-            self.say(ladder.notice)
+        for notice in (ladder.notice, local_notice(plan.records)):
+            if notice:
+                self.say(notice)
         return plan
 
     def chosen_spec(self) -> DatasetSpec:

@@ -25,6 +25,7 @@ from mpdt.data.sim.references import (
     find_records,
     load_entries,
     load_shipped,
+    local_notice,
     place_of,
     save_entries,
     scene_of,
@@ -168,6 +169,9 @@ def test_a_local_score_wins(shipped: dict[str, Score], tmp_path: Path) -> None:
     record = find_records(spec(), ladder(7), tmp_path)["forward"]
     assert record.by_name["random"].mean == -2.0 and record.by_name["random"].source == "local"
     assert record.by_name["zero"].source == "shipped"
+    assert local_notice({"forward": record}) == "references of 1 task from ./references.json"
+    (tmp_path / LOCAL_FILE).unlink()
+    assert local_notice(find_records(spec(), ladder(7), tmp_path)) == ""
 
 
 def test_the_shipped_record_is_precise_and_canonical(tmp_path: Path) -> None:
