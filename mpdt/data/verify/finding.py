@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
+from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.tables import Int64
 
 
@@ -72,6 +74,16 @@ class Fault:
         plural = "s" if self.total > 1 else ""
         place = f" of {self.track}" if self.track else ""
         return f"{self.what}: episode{plural} {first}{more}{place}"
+
+
+def drop_hint(path: Path, faults: Sequence[Fault]) -> str:
+    """How to go on without the episodes of these faults; how to mend what is no episode."""
+    if not faults:
+        return ""
+    ids = sorted({i for one in faults if not one.track for i in one.episodes[:3]})
+    if not ids:
+        return damaged_hint(path)
+    return f"mpdt-data drop {path} --episodes {','.join(map(str, ids))} -o OUT.h5"
 
 
 def fault(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mpdt.data.verify.finding import Finding, judge
+from mpdt.data.verify.finding import Finding, drop_hint, judge
 from mpdt.data.verify.material import Chunk, Material, Track
 from mpdt.data.verify.streaming import Faults
 
@@ -41,6 +41,5 @@ class FlagsCheck:
         horizon = self._material.own().horizon
         where = f", truncation at step {horizon}" if horizon is not None else ""
         faults = self._faults.all()
-        ids = ",".join(str(i) for one in faults if not one.track for i in one.episodes)
-        hint = f"mpdt-data drop {self._material.path} --episodes {ids} -o OUT.h5" if ids else ""
+        hint = drop_hint(self._material.path, faults)
         return judge(self.id, faults, f"one end per episode{where}", hint)

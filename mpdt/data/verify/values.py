@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mpdt.data.store.tables import Float32
-from mpdt.data.verify.finding import Fault, Finding, judge
+from mpdt.data.verify.finding import Fault, Finding, drop_hint, judge
 from mpdt.data.verify.material import Chunk, Material, Track
 from mpdt.data.verify.streaming import Faults
 
@@ -67,11 +67,9 @@ class ValuesCheck:
             self._faults.add(what, track, chunk.episodes_of(rows))
 
     def finding(self) -> Finding:
-        path = self._material.path
         bounds = self._bounds
         faults = self._faults.all()
-        ids = ",".join(str(i) for one in faults if not one.track for i in one.episodes)
-        hint = f"mpdt-data drop {path} --episodes {ids} -o OUT.h5" if ids else ""
+        hint = drop_hint(self._material.path, faults)
         faults += self._constant_columns()
         inside = f", actions in [{bounds[0]:g}, {bounds[1]:g}]" if bounds else ""
         return judge(self.id, faults, f"no NaN or infinity{inside}", hint)
