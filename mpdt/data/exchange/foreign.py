@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,7 @@ class Source:
         quality: a code of `QUALITY_CODES`, or -1.
         read: its episodes; called twice.
         name: what the spec of the new file calls it; "" = the file's own name.
+        notes: what else the spec should say about it.
     """
 
     path: Path
@@ -53,6 +54,7 @@ class Source:
     quality: int
     read: Callable[[], Iterator[RawEpisode]]
     name: str = ""
+    notes: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -75,6 +77,7 @@ class _Tally:
             "task": self.source.task.name,
             "quality": quality_name(self.source.quality),
             "episodes": sum(self.kept),
+            **self.source.notes,
         }
         if len(self.kept) != sum(self.kept):
             found["duplicates_left_out"] = len(self.kept) - sum(self.kept)

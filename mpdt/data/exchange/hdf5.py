@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError
 
+_MOST_COMPRESSED = 100
+"""Numbers per stored one at most. Empty chunks take no place, so a shape may say anything."""
 # What h5py and numpy raise about metadata that makes no sense.
 _DAMAGE = (
     OSError, RuntimeError, ValueError, TypeError, KeyError, IndexError, AttributeError,
@@ -68,7 +70,7 @@ def array(
     """A dataset of plain numbers, or `rows` of it.
 
     Raises: FormatError for a group, for text or objects, for numbers kept in other files, and
-        for a virtual dataset whose source is not there.
+        for a virtual dataset whose source is not there or a size that no file has.
     """
     dataset = member(group, name, where)
     if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiub":
@@ -84,6 +86,9 @@ def array(
             if not (folder / source.file_name).is_file():
                 raise FormatError(f"{name} is a link to a file that is gone", where=where,
                                   found=source.file_name)  # fmt: skip
+    if dataset.nbytes > _MOST_COMPRESSED * Path(dataset.file.filename).stat().st_size + 1_000_000:
+        raise FormatError(f"{name} is larger than its file can hold", where=where,
+                          found=f"shape {dataset.shape}")  # fmt: skip
     start, stop = rows or (0, dataset.shape[0] if dataset.shape else 0)
     return np.asarray(dataset[start:stop] if dataset.shape else dataset[()])
 

@@ -1,0 +1,221 @@
+"""Parquet in the layout of Hugging Face datasets (lossless): one configuration per quality.
+
+    data/<quality>/train-00000-of-00001.parquet   steps; one row group per episode
+    episodes.parquet    one row per episode: the file format's columns, and the observation
+                        after the last step, which has no row of its own
+    tasks.parquet  goals.parquet  policies.parquet  README.md  croissant.json
+
+Vectors are `fixed_size_list`, compressed with zstd. The schema of episodes.parquet holds the
+manifest, which is what an import believes, beside the numbers.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from mpdt.data.episode import Episode
+from mpdt.data.exchange import arrow
+from mpdt.data.exchange.croissant import describe, readme
+from mpdt.data.exchange.episode_table import EpisodeTable
+from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.foreign import quality_name
+from mpdt.data.exchange.incoming import Incoming
+from mpdt.data.exchange.manifest import KEY, Manifest, single_file
+from mpdt.data.exchange.selection import Selection
+from mpdt.data.exchange.treatment import Rules
+from mpdt.data.reference import YARDSTICKS
+from mpdt.data.store.layout import EPISODES, GOALS, STEPS
+from mpdt.data.store.sources import EpisodeSource, FileHeader
+from mpdt.errors import FormatError, MpdtError, ShapeError
+
+MAX_FILE_BYTES = 500_000_000
+_COMPRESSION = "zstd"
+# Name of the column of a step -> of the array in the file format.
+_STEPS = {
+    "observation": "observations", "action": "actions", "reward": "rewards",
+    "termination": "terminations", "truncation": "truncations", "success": "successes",
+}  # fmt: skip
+_DTYPES = {column.path: column.dtype for column in STEPS + EPISODES + GOALS}
+_DAMAGE = (pa.ArrowException, OSError, KeyError, ValueError, TypeError, IndexError)
+
+
+# ---- out ----
+
+
+def write(selection: Selection, folder: Path) -> None:
+    """The tree of one export. Memory holds one episode and the tables. Raises: OSError."""
+    manifest, table = Manifest.of(selection), EpisodeTable.of(selection)
+    qualities = {int(code): quality_name(int(code)) for code in np.unique(table.columns["quality"])}
+    for code, name in qualities.items():
+        _write_steps(selection, np.flatnonzero(table.columns["quality"] == code),
+                     folder / "data" / name)  # fmt: skip
+    tables = {
+        "episodes": _episodes_table(selection, table, manifest),
+        "tasks": _tasks_table(manifest.header),
+        "goals": pa.table({name: arrow.column(values) for name, values in table.goals.items()}),
+        "policies": _policies_table(manifest.header),
+    }
+    for name, content in tables.items():
+        pq.write_table(content, folder / f"{name}.parquet", compression=_COMPRESSION)
+    (folder / "README.md").write_text(readme(manifest, list(qualities.values())), "utf-8")
+    text = json.dumps(describe(manifest, folder), indent=1)
+    (folder / "croissant.json").write_text(text, "utf-8")
+
+
+def _write_steps(selection: Selection, places: NDArray[np.int64], folder: Path) -> None:
+    """Steps of the episodes at `places` of the export, in as few files as the limit allows."""
+    folder.mkdir(parents=True)
+    data = selection.dataset
+    step_bytes = 4 * (data.observation_size + data.action_size) + 20
+    lengths = data.episodes.length[selection.ids[places]].astype(np.int64)
+    # By size before compression: never too large, at times a file more than needed.
+    _, number = np.unique(np.cumsum(lengths * step_bytes) // MAX_FILE_BYTES, return_inverse=True)
+    count = int(number[-1]) + 1
+    for part in range(count):
+        writer: Any = None
+        for place in places[number == part].tolist():
+            table = _steps_table(selection, place)
+            if writer is None:
+                path = folder / f"train-{part:05d}-of-{count:05d}.parquet"
+                writer = pq.ParquetWriter(path, table.schema, compression=_COMPRESSION)
+            writer.write_table(table, row_group_size=len(table))
+        if writer is not None:
+            writer.close()
+
+
+def _steps_table(selection: Selection, place: int) -> Any:
+    data, i = selection.dataset, int(selection.ids[place])
+    episode = data.episode(i)
+    columns = {
+        "episode": pa.array(np.full(episode.length, place, np.int32)),
+        "step": pa.array(np.arange(episode.length, dtype=np.int32)),
+        "task": pa.array([data.tasks.names[int(data.episodes.task[i])]] * episode.length),
+    }
+    for name, stored in _STEPS.items():
+        if (values := getattr(episode, stored)) is not None:
+            columns[name] = arrow.column(values[: episode.length])
+    return pa.table(columns)
+
+
+def _episodes_table(selection: Selection, table: EpisodeTable, manifest: Manifest) -> Any:
+    data = selection.dataset
+    last = data.episodes.obs_start[selection.ids] + data.episodes.length[selection.ids]
+    names = [task.name for task in manifest.header.tasks]
+    columns = {
+        "episode": pa.array(np.arange(len(selection.ids), dtype=np.int32)),
+        "task_name": pa.array([names[row] for row in table.columns["task"]]),
+        "quality_name": pa.array([quality_name(int(q)) for q in table.columns["quality"]]),
+    }
+    columns |= {name: arrow.column(values) for name, values in table.columns.items()}
+    columns["final_observation"] = arrow.column(data.steps.observations[last])
+    return pa.table(columns).replace_schema_metadata({KEY: manifest.to_json()})
+
+
+def _tasks_table(header: FileHeader) -> Any:
+    columns: dict[str, list[Any]] = {
+        "name": [task.name for task in header.tasks],
+        "index": [task.index for task in header.tasks],
+        "role": [task.role for task in header.tasks],
+        "env": [json.dumps(task.env, sort_keys=True) for task in header.tasks],
+    }
+    for yardstick in YARDSTICKS:
+        references = [task.references[yardstick] for task in header.tasks]
+        columns[f"ref_{yardstick}"] = [reference.mean for reference in references]
+        columns[f"ref_{yardstick}_error"] = [reference.error for reference in references]
+        columns[f"ref_{yardstick}_episodes"] = [reference.episodes for reference in references]
+    return pa.table(columns)
+
+
+def _policies_table(header: FileHeader) -> Any:
+    rows = {task.index: row for row, task in enumerate(header.tasks)}
+    columns: dict[str, list[Any]] = {
+        "hash": [policy.hash for policy in header.policies],
+        "task": [rows[policy.task] for policy in header.policies],
+    }
+    for name in ("rung", "level", "train_step", "mix_rate", "name"):
+        columns[name] = [getattr(policy, name) for policy in header.policies]
+    return pa.table(columns)
+
+
+# ---- in ----
+
+
+def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
+    """An export of ours, whose content hash the result has to have.
+
+    Raises: MissingFileError; FormatError for files that are damaged or not an export of ours.
+    """
+    found = [path for path in files_below(paths, ".parquet") if path.name == "episodes.parquet"]
+    folder = single_file(found, "an episodes.parquet", str(paths[0])).parent
+    where = str(folder)
+    try:
+        episodes, goals = _table(folder / "episodes.parquet"), _table(folder / "goals.parquet")
+        text = (episodes.schema.metadata or {})[KEY.encode()]
+        manifest = Manifest.from_json(text, where)
+        table = EpisodeTable(_columns(episodes, EPISODES), _columns(goals, GOALS))
+        final = arrow.array(episodes, "final_observation", "<f4")
+    except MpdtError:
+        raise
+    except _DAMAGE as error:
+        raise _damaged(where, error) from error
+    table.check(manifest, where)
+    if final.shape != (manifest.num_episodes, manifest.header.observation_size):
+        raise FormatError("column final_observation is wrong", where=where)
+    source = EpisodeSource(
+        _episodes(folder, manifest, table, final), manifest.num_episodes, manifest.num_steps,
+        table.source_ids(),
+    )  # fmt: skip
+    return manifest.incoming(source)
+
+
+def _table(path: Path) -> Any:
+    return pq.read_table(path, partitioning=None)
+
+
+def _columns(table: Any, columns: Sequence[Any]) -> dict[str, NDArray[Any]]:
+    names = [column.path for column in columns if column.path in table.column_names]
+    return {name: arrow.array(table, name, _DTYPES[name]) for name in names}
+
+
+def _damaged(where: str, error: Exception) -> FormatError:
+    return FormatError("damaged, or not an export of mpdt", where=where,
+                       found=f"{type(error).__name__}: {error}"[:160])  # fmt: skip
+
+
+def _episodes(
+    folder: Path, manifest: Manifest, table: EpisodeTable, final: NDArray[np.float32]
+) -> Iterator[Episode]:
+    groups: dict[str, Iterator[Any]] = {}
+    wanted = [name for name in _STEPS if name != "success" or manifest.header.has_success]
+    for i, code in enumerate(table.columns["quality"].tolist()):
+        quality = quality_name(code)
+        rows = groups.setdefault(quality, _row_groups(folder / "data" / quality))
+        where = f"{folder}: episode {i}"
+        try:
+            steps = next(rows)
+            found = {_STEPS[n]: arrow.array(steps, n, _DTYPES[_STEPS[n]]) for n in wanted}
+        except StopIteration as error:
+            raise FormatError("too few row groups", where=where, found=quality) from error
+        except _DAMAGE as error:
+            raise _damaged(where, error) from error
+        if len(found["rewards"]) != table.columns["length"][i]:
+            raise ShapeError("not its number of steps", where=where,
+                             expected=str(table.columns["length"][i]),
+                             found=str(len(found["rewards"])))  # fmt: skip
+        found["observations"] = np.concatenate([found["observations"], final[i : i + 1]])
+        yield table.episode(i, manifest, found)
+
+
+def _row_groups(folder: Path) -> Iterator[Any]:
+    for path in sorted(folder.glob("*.parquet")):
+        with pq.ParquetFile(path) as file:
+            for number in range(file.num_row_groups):
+                yield file.read_row_group(number, use_threads=False)
