@@ -29,6 +29,7 @@ def describe(data: Dataset, ids: Int64 | None = None) -> dict[str, Any]:
         "content_hash": data.content_hash,
         "spec_hash": data.spec_hash,
         "parent": data.parent,
+        "lineage": [dict(step) for step in data.lineage],
         "license": data.license,
         "episodes": len(ids),
         "steps": int(data.episodes.length[ids].sum()),
@@ -73,9 +74,9 @@ def _reference(found: Reference) -> dict[str, Any]:
 def level_table(
     data: Dataset, ids: Int64 | None = None, names: tuple[str, ...] | None = None
 ) -> str:
-    """Mean return per task and quality; level of medium between the random and expert reference."""
+    """Mean return of zero action and of each quality; level of medium between the references."""
     tasks = describe(data, ids)["tasks"]
-    heading = ("task", "role", "episodes", *QUALITY_CODES, "level", "success")
+    heading = ("task", "role", "episodes", "zero", *QUALITY_CODES, "level", "success")
     rows = []
     for task in tasks:
         if names is not None and task["name"] not in names:
@@ -86,7 +87,7 @@ def level_table(
         level = (found[1] - low) / (high - low) if high > low else float("nan")
         success = "-" if task["success"] is None else f"{task['success']:.2f}"
         rows.append(
-            [task["name"], task["role"], f"{task['episodes']:,}",
+            [task["name"], task["role"], f"{task['episodes']:,}", number(_mean(task, "zero")),
              *map(number, found), number(level, 2), success]
         )  # fmt: skip
     return text_table([heading, *rows], numbers_from=2)
@@ -142,10 +143,24 @@ def header_lines(found: Mapping[str, Any]) -> list[str]:
         f"{found['path']}   {found['name']} {found['version']}   family {found['family']}   "
         f"{found['bytes'] / 1e6:.1f} MB   {found['license']}",
         f"content  {found['content_hash']}{origin}",
+        *(f"lineage  {_step_text(step)}" for step in found["lineage"]),
         f"size     {found['episodes']:,} episodes   {found['steps']:,} steps   "
         f"observation {found['observation_size']}   action {found['action_size']}",
         f"made by  {versions}",
     ]
+
+
+def _step_text(step: Mapping[str, Any]) -> str:
+    """`split quality medium, episodes 10   of 5c7e108f`."""
+    rule = step.get("rule") or {}
+    words = ", ".join(f"{key} {_short(value)}" for key, value in rule.items())
+    sources = " and ".join(str(hash)[:8] for hash in step.get("from", ()))
+    return f"{step.get('verb', '?')} {words}".rstrip() + f"   of {sources}"
+
+
+def _short(value: Any) -> str:
+    text = " ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def describe_episode(data: Dataset, episode_id: int) -> dict[str, Any]:
