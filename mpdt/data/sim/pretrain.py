@@ -59,7 +59,7 @@ SETTINGS: dict[str, PretrainSettings] = {
     "cheetah_vel": PretrainSettings(steps=16_000_000, judge_episodes=4, judge_noise=0.05),
     # Half the squared action is charged, so wide exploration drowns the gain of walking.
     "ant_dir": PretrainSettings(
-        steps=6_000_000, log_std_init=-1.0, judge_episodes=8, judge_noise=0.05
+        steps=6_000_000, log_std_init=-1.0, judge_episodes=2, judge_noise=0.05
     ),
 }
 
