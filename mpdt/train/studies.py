@@ -1,6 +1,6 @@
 """Studies: lists of cells = data x method x seed, with the settings that are studied. Data only.
 
-    first-pass    every method on cheetah_vel; the main ones on the other families
+    first-pass    every method on every family; three seeds for the main ones
     ablations     one thing changed at a time, cheetah_vel
 
 Settings are chosen on training tasks (docs/decisions/0011), never on test returns.
@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mpdt.errors import unknown_name
+from mpdt.train.methods import merge
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,74 @@ class Cell:
         return f"{self.data}.{self.label or self.method}.s{self.seed}"
 
 
-STUDIES: Mapping[str, tuple[Cell, ...]] = {}
+# Four tasks of dozens are enough for an update; one episode of each training task for its table.
+_MANY: Mapping[str, Any] = {
+    "sampler": {"tasks_per_update": 4},
+    "optimiser": {"warmup_steps": 50},
+    "teacher": {"steps": 300},
+    "multitask": {"steps": 800},
+    "evaluation": {"train_episodes": 1},
+}
+_FEW: Mapping[str, Any] = {"teacher": {"steps": 200}, "multitask": {"steps": 400}}
+_STARTS = {"adapt": {"starts": ["cross", "infer", "infer_aligned"]}}
+_ALL_STARTS = ["cross", "cross_mean", "cross_one", "cross_random", "infer", "infer_aligned"]
+_EXPERT = {"few_shot": {"qualities": ["expert"]}}
+_LEVELS = {"few_shot": {"qualities": ["expert", "medium", "random", "mixed"]}}
+
+
+def _cell(
+    data: str, method: str, *changes: Mapping[str, Any], seed: int = 0, label: str = ""
+) -> Cell:
+    size = _FEW if data == "cheetah_dir" else {} if data in ("ml10", "mt10") else _MANY
+    laid: dict[str, Any] = {}
+    for each in (size, *changes):
+        laid = merge(laid, each)
+    return Cell(data, method, seed, label, changes=laid)
+
+
+def _family(data: str) -> tuple[Cell, ...]:
+    """Every method on one family, the ones that matter most first."""
+    return (
+        _cell(data, "MPDT-E", _STARTS, _EXPERT),
+        _cell(data, "MPDT-no-distillation", _STARTS, _EXPERT),
+        _cell(data, "Prompt-DT", {"adapt": {"starts": ["infer"]}}),
+        _cell(data, "MT-BC-FT"),
+        _cell(data, "MPDT-WP", _STARTS),
+        _cell(data, "MPDT", _STARTS, _EXPERT),
+        _cell(data, "Soft-Prompt-TTA", _EXPERT),
+        _cell(data, "MT-ORL-FT"),
+        _cell(data, "LaMo"),
+        _cell(data, "Full-FT"),
+        _cell(data, "MPDT-WP-frozen", _STARTS),
+        _cell(data, "MPDT+sparse", _STARTS),
+        _cell(data, "Prompt-DT-TTA"),
+        *(
+            _cell(data, method, _STARTS if method.startswith("MPDT") else {}, seed=seed)
+            for seed in (1, 2)
+            for method in ("MPDT-E", "Prompt-DT", "MPDT-WP")
+        ),
+    )
+
+
+_VEL = "cheetah_vel"
+
+STUDIES: Mapping[str, tuple[Cell, ...]] = {
+    "first-pass": tuple(
+        cell for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10") for cell in _family(data)
+    ),
+    "ablations": (
+        _cell(_VEL, "MPDT-E", {"adapt": {"starts": _ALL_STARTS}}, _LEVELS, label="starts"),
+        _cell(_VEL, "MPDT-E", {"teacher": {"distillation": "prompt"}}, label="distil-prompt"),
+        *(_cell(_VEL, "MPDT-no-distillation", {"prompts": {"rank": rank}}, _STARTS,
+                label=f"rank-{rank}") for rank in (4, 10)),
+        *(_cell(_VEL, "MPDT-no-distillation", {"prompts": {"length": length}}, _STARTS,
+                label=f"length-{length}") for length in (3, 9, 60, 90)),
+        *(_cell(_VEL, "MPDT-no-distillation", {"backbone": {"depth": depth}}, _STARTS,
+                label=f"depth-{depth}") for depth in (1, 2, 8)),
+        _cell(_VEL, "MPDT-no-distillation", {"prompts": {"task_init": "ones"}}, _STARTS,
+              label="ones"),
+    ),
+}  # fmt: skip
 
 
 def get_study(name: str) -> tuple[Cell, ...]:

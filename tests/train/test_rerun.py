@@ -296,3 +296,44 @@ def test_ctrl_c_while_libraries_are_imported(tiny_file):
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=30)
     assert process.returncode == 130 and error == "\ninterrupted\n"
+
+
+def test_a_stored_run_is_adapted_and_evaluated_without_training(again, tiny_file, capsys):
+    """`adapt` judges the test tasks alone, `evaluate` all; both leave the weights as they were."""
+    folder, _ = again
+    before = (folder / "weights.safetensors").read_bytes()
+    infer = ["--adapt.starts", "infer", "--adapt.infer.steps", 5]
+    assert call("adapt", folder, "--data", tiny_file, *infer, "-q") == 0
+    scores = results_of(folder)["scores"]
+    assert {s["block"] for s in scores} == {"test"}
+    assert [s["reads"] for s in scores if s["method"] == "MPDT infer"] == ["X+rewards"] * 3
+    assert call("evaluate", folder, "--data", tiny_file, "--evaluation.episodes", 1, "-q") == 0
+    assert {s["block"] for s in results_of(folder)["scores"]} == {"train", "test"}
+    assert (folder / "weights.safetensors").read_bytes() == before
+
+
+def test_adapting_refuses_other_training_and_what_is_no_run(again, tiny_file, tmp_path, capsys):
+    folder, _ = again
+    assert call("adapt", folder, "--data", tiny_file, "--prompts.length", 5) == 1
+    assert "found prompts.length: 4 -> 5" in capsys.readouterr().err
+    assert call("adapt", tmp_path, "--data", tiny_file) == 2
+    assert "no run here" in capsys.readouterr().err
+    (folder / "weights.safetensors").unlink()
+    assert call("evaluate", folder, "--data", tiny_file, "--evaluation.episodes", 1) == 2
+    assert "no trained weights in this run" in capsys.readouterr().err
+
+
+def test_the_published_protocol_has_no_path_to_rewards(again, monkeypatch):
+    """Reading them is an error here: every start but the inferring ones does without."""
+    from mpdt.train import adapt, unseen
+
+    def forbidden(*_):
+        raise AssertionError("rewards of X were read")
+
+    monkeypatch.setattr(unseen, "open_tta_rewards", forbidden)
+    monkeypatch.setattr(adapt, "open_tta_rewards", forbidden)
+    _, arguments = again
+    starts = ["cross", "cross_mean", "cross_one", "cross_random", "none"]
+    assert call(*arguments, "--adapt.starts", *starts, "-q") == 0
+    with pytest.raises(AssertionError, match="rewards of X were read"):
+        main([str(a) for a in (*arguments, "--adapt.starts", "infer", "-q")])

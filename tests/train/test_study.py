@@ -1,0 +1,146 @@
+"""Studies: cells run once, are found again, and fail one by one; their tables by hand."""
+
+import json
+import math
+
+import pytest
+
+from mpdt.errors import FormatError, UsageError
+from mpdt.train import studies
+from mpdt.train.cli import main
+from mpdt.train.progress import Progress
+from mpdt.train.results import MEAN, Score
+from mpdt.train.state import StopRequest
+from mpdt.train.studies import STUDIES, Cell, get_study
+from mpdt.train.study import Places, configure, inspect_cell, run_study
+from mpdt.train.summary import CellResult, cells_csv, is_study, read_cells, study_tables, summarise
+
+TINY = {
+    "inputs": {"time_table": 16}, "evaluation": {"horizon": 3, "episodes": 2},
+    "statistics": {"batches": 1}, "adapt": {"steps": 1}, "multitask": {"steps": 2},
+}  # fmt: skip
+ONE = Cell("tiny", "Soft-Prompt-TTA", preset="smoke", changes=TINY)
+TWO = Cell("tiny", "MPDT-no-distillation", 1, "short", "smoke", TINY)
+BROKEN = Cell("tiny", "Soft-Prompt", preset="smoke", changes=TINY | {"sampler": {"window": 300}})
+ABSENT = Cell("nowhere", "MPDT", preset="smoke")
+
+
+@pytest.fixture
+def places(tiny_file, tmp_path):
+    return Places(tiny_file.parent, tmp_path / "runs", tmp_path / "results")
+
+
+def states(cells, places):
+    outcomes = run_study(cells, places, Progress(quiet=True), StopRequest())
+    return [(outcome.cell.name, outcome.state) for outcome in outcomes]
+
+
+def test_cells_are_run_skipped_failed_and_left_out(places):
+    """A failure is told and the next cell runs; the second call runs nothing."""
+    first = states([ONE, BROKEN, TWO, ABSENT], places)
+    assert [state for _, state in first] == ["done", "failed", "done", "no data"]
+    assert first[2][0] == "tiny.short.s1"
+    stored = sorted(path.name for path in places.results.iterdir())
+    assert stored == ["tiny.Soft-Prompt-TTA.s0.json", "tiny.short.s1.json"]
+    before = (places.runs / "tiny.short.s1/weights.safetensors").stat().st_mtime_ns
+    assert [s for _, s in states([ONE, TWO], places)] == ["done", "done"]
+    assert (places.runs / "tiny.short.s1/weights.safetensors").stat().st_mtime_ns == before
+
+
+def test_a_result_says_what_made_it(places):
+    states([TWO], places)
+    content = json.loads(places.result(TWO).read_text())
+    assert content["cell"] == "tiny.short.s1" and content["config"]["seed"] == 1
+    assert content["config"]["method"] == "short" and len(content["config_hash"]) == 64
+    assert {"torch", "mujoco", "mpdt"} <= content["versions"].keys()
+    assert content["data"]["content_hash"] and content["seconds"]["all"] >= 0
+    assert [step for step, _ in content["curve"]["student"]] == [2]
+
+
+def test_other_settings_or_data_are_not_done(places):
+    states([ONE], places)
+    other = Cell("tiny", "Soft-Prompt-TTA", preset="smoke", changes=TINY | {"adapt": {"lr": 0.1}})
+    outcome = inspect_cell(other, places)
+    assert (outcome.state, outcome.note) == ("to do", "its result is of other settings or data")
+    away = Places(places.data / "gone", places.runs, places.results)
+    assert inspect_cell(ONE, away).note == "data file not here: content not compared"
+    assert inspect_cell(other, away).state == "no data"
+
+
+def test_shipped_studies_are_possible():
+    """Every cell's settings exist and fit their types; names are unique."""
+    for name in STUDIES:
+        cells = get_study(name)
+        assert len({cell.name for cell in cells}) == len(cells)
+        for cell in cells:
+            assert configure(cell).seed == cell.seed
+    with pytest.raises(UsageError, match="unknown study 'frist-pass'"):
+        get_study("frist-pass")
+
+
+def call(*arguments):
+    with pytest.raises(SystemExit) as stopped:
+        main([str(argument) for argument in arguments])
+    return stopped.value.code
+
+
+def test_study_and_report_as_typed(places, monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(studies, "STUDIES", {"try": (ONE, ABSENT)})
+    folders = ["--data-dir", places.data, "--runs-dir", tmp_path, "--results-dir", tmp_path / "r"]
+    assert call("study", "try", *folders, "--dry-run") == 0
+    assert capsys.readouterr().out.splitlines()[0] == "to do    tiny.Soft-Prompt-TTA.s0"
+    assert call("study", "try", *folders, "--only", "tiny", "-q") == 0
+    assert capsys.readouterr().out == "done     tiny.Soft-Prompt-TTA.s0\n"
+    assert call("report", tmp_path / "r/try", "-o", tmp_path / "out") == 0
+    out = capsys.readouterr().out
+    assert "tiny: test tasks" in out and "from cross, adapted" in out
+    assert "tiny: test tasks" in (tmp_path / "out/tables.md").read_text()
+    assert (tmp_path / "out/tables.csv").read_text().startswith("data,cell,seed,method,block")
+    assert call("study", "tyr", *folders) == 2
+
+
+def cell(seed, *means, label="m", data="d"):
+    scores = [
+        Score(block="test", task=task, method=f"{label} infer", mean=value, low=value - 1,
+              high=value + 1, normalised=value / 10, reads="X+rewards")
+        for task, value in zip(("a", "b", MEAN), (*means, sum(means) / 2), strict=True)
+    ]  # fmt: skip
+    zero = [msgspec_replace(score, method="zero action", mean=0.0, reads=None) for score in scores]
+    return CellResult(data, label, seed, (*zero, *scores), {})
+
+
+def msgspec_replace(score, **changes):
+    import msgspec
+
+    return msgspec.structs.replace(score, **changes)
+
+
+def test_seeds_are_put_together_by_hand():
+    """Means 2 and 4 of one seed, 4 and 6 of the other: 4; normalised 0.2 0.4 0.4 0.6: IQM 0.4."""
+    zero, row = summarise([cell(0, 2.0, 4.0), cell(1, 4.0, 6.0)], "test")
+    assert (row.method, row.num_seeds, row.reads) == ("m infer", 2, "X+rewards")
+    assert (row.mean, row.interval) == (4.0, (3.0, 5.0)) and row.iqm == pytest.approx(0.4)
+    assert zero.method == "zero action" and zero.num_seeds == 1, "references once"
+
+
+def test_one_seed_has_the_interval_of_its_episodes_and_none_of_runs():
+    _, row = summarise([cell(0, 2.0, 4.0)], "test")
+    assert row.interval == (2.0, 4.0) and math.isnan(row.iqm_interval[0])
+
+
+def test_tables_tell_what_was_not_run(monkeypatch):
+    monkeypatch.setitem(STUDIES, "s", (Cell("d", "m"), Cell("d", "m", 1), Cell("e", "m")))
+    (table,) = study_tables([cell(0, 2.0, 4.0)], "s")
+    assert table.notes == ("not run: d.m.s1", "no cell run: e")
+    assert table.rows[1] == ("m infer", "3.0", "[2.0, 4.0]", "0.30", "-", "X+rewards", "1")
+    line = cells_csv([cell(0, 2.0, 4.0)]).splitlines()[4]
+    assert line == "d,m,0,m infer,test,a,2.0,1.0,3.0,0.2,,X+rewards"
+
+
+def test_what_is_no_result_is_one_error(tmp_path):
+    (tmp_path / "x.json").write_text("{}")
+    assert is_study(tmp_path)
+    with pytest.raises(FormatError, match="not the result of a cell"):
+        read_cells(tmp_path)
+    (tmp_path / "results.json").write_text("{}")
+    assert not is_study(tmp_path)
