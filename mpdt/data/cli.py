@@ -23,6 +23,7 @@ from typing import Annotated, Any, NoReturn, Union
 import tyro
 
 from mpdt.data.verbs.cutting import Split
+from mpdt.data.verbs.editing import Diff, Drop, Merge
 from mpdt.data.verbs.exchange import Export, Import
 from mpdt.data.verbs.look import Info, List, Show
 from mpdt.data.verbs.make import Calibrate, Collect, Plans, Pretrain
@@ -37,6 +38,9 @@ VERBS: dict[str, type[Options]] = {
     "plan": Plans,
     "collect": Collect,
     "split": Split,
+    "merge": Merge,
+    "drop": Drop,
+    "diff": Diff,
     "import": Import,
     "export": Export,
     "pretrain": Pretrain,

@@ -223,7 +223,8 @@ def test_workers_kills_and_resumes_give_one_hash(collected: Path, workplace: Pat
     assert found is not None and int(found[1]) >= left
     assert open_dataset(target).content_hash == open_dataset(collected).content_hash
     assert out.startswith("packed  tiny.h5   32 episodes")
-    assert sorted(path.name for path in workplace.iterdir()) == ["datasets.yaml", "tiny.h5"]
+    names = sorted(path.name for path in workplace.iterdir())
+    assert names == ["datasets.lock", "datasets.yaml", "tiny.h5"]
 
 
 def test_a_second_collector_exits_with_4(workplace: Path) -> None:

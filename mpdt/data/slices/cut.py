@@ -10,12 +10,15 @@ nothing to do with how they were made, so 10 are inside 100, and inside all.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from mpdt.data.slices.choice import first_of_each, in_progress
 from mpdt.data.slices.standard import standard_slices
 from mpdt.data.slices.stats import compute_stats
 from mpdt.data.store.dataset import Dataset
@@ -34,6 +37,8 @@ class Cut:
         quality: `random`, `medium`, `expert` or `history`.
         tasks: names of tasks of the file.
         role: tasks that are trained on, or tested on; role `both` is in either.
+        progress: A and B with A <= progress < B, or <= B where B is 1.
+        return_top: this share of each task's episodes, those of the highest return.
         episodes: at most so many per task.
         slice: a named slice of the file.
     """
@@ -41,6 +46,8 @@ class Cut:
     quality: str | None = None
     tasks: tuple[str, ...] | None = None
     role: Literal["train", "test"] | None = None
+    progress: tuple[float, float] | None = None
+    return_top: float | None = None
     episodes: int | None = None
     slice: str | None = None
 
@@ -50,6 +57,8 @@ class Cut:
             "quality": self.quality,
             "tasks": None if self.tasks is None else list(self.tasks),
             "role": self.role,
+            "progress": None if self.progress is None else list(self.progress),
+            "return_top": self.return_top,
             "episodes": self.episodes,
             "slice": self.slice,
         }
@@ -61,6 +70,10 @@ class Cut:
         if self.tasks:
             few = len(self.tasks) <= 3
             parts.append("+".join(self.tasks) if few else f"{len(self.tasks)}tasks")
+        if self.progress is not None:
+            parts.append("p{:g}-{:g}".format(*self.progress))
+        if self.return_top is not None:
+            parts.append(f"top{self.return_top:g}")
         if self.episodes is not None:
             parts.append(str(self.episodes))
         return "".join(f"-{part}" for part in parts if part)
@@ -80,7 +93,8 @@ def task_rows(dataset: Dataset, cut: Cut) -> list[int]:
 def choose(dataset: Dataset, cut: Cut) -> Int64:
     """Ascending absolute ids of the episodes to keep.
 
-    Raises: UsageError for an unknown name or a count below 1; DataError if nothing is left.
+    Raises: UsageError for an unknown name, a count below 1 or a range that is none; DataError
+        if nothing is left.
     """
     if cut.episodes is not None and cut.episodes < 1:
         raise UsageError(
@@ -89,8 +103,12 @@ def choose(dataset: Dataset, cut: Cut) -> Int64:
     ids = dataset.select(
         task=[int(row) for row in task_rows(dataset, cut)], quality=cut.quality, slice=cut.slice
     )
+    if cut.progress is not None:
+        ids = in_progress(dataset, ids, *cut.progress)
+    if cut.return_top is not None:
+        ids = _best(dataset, ids, cut.return_top)
     if cut.episodes is not None:
-        ids = _first(dataset, ids, cut.episodes)
+        ids = first_of_each(dataset, ids, cut.episodes)
     if not len(ids):
         raise DataError(
             f"no episode fits {cut.rule()}",
@@ -100,12 +118,16 @@ def choose(dataset: Dataset, cut: Cut) -> Int64:
     return ids
 
 
-def _first(dataset: Dataset, ids: Int64, count: int) -> Int64:
-    digests, tasks = dataset.episodes.digest, dataset.episodes.task
+def _best(dataset: Dataset, ids: Int64, share: float) -> Int64:
+    """The share of each task's episodes with the highest return; of equal ones the earlier."""
+    if not 0 < share <= 1:
+        raise UsageError("not a share", where="--return-top", expected="over 0, at most 1",
+                         found=f"{share:g}")  # fmt: skip
     kept: list[int] = []
-    for row in np.unique(tasks[ids]):
-        mine = ids[tasks[ids] == row]
-        kept += sorted(mine.tolist(), key=lambda i: digests[i].tobytes())[:count]
+    for row in np.unique(dataset.episodes.task[ids]):
+        mine = ids[dataset.episodes.task[ids] == row]
+        order = np.argsort(-dataset.episodes.returns[mine], kind="stable")
+        kept += mine[order][: math.ceil(share * len(mine) - 1e-9)].tolist()
     return np.array(sorted(kept), dtype=np.int64)
 
 
@@ -119,8 +141,19 @@ def cut_file(source: Dataset, cut: Cut, target: Path) -> Dataset:
     Raises: as `choose` and `write_file`; DataError if `target` is not a cut-out file.
     """
     refuse_to_replace(source, target)
-    ids = choose(source, cut)
-    allowed = task_rows(source, cut)
+    step = {"verb": "split", "rule": cut.rule()}
+    return write_cut(source, choose(source, cut), task_rows(source, cut), target, step)
+
+
+def write_cut(
+    source: Dataset, ids: Int64, allowed: Sequence[int], target: Path, step: Mapping[str, Any]
+) -> Dataset:
+    """Write episodes `ids` of `source` to `target`; see `cut_file`.
+
+    Args:
+        allowed: rows of the task table that may stay.
+        step: for the lineage: `verb` and rule.
+    """
     with_tta = {int(row) for tta in source.tta.values() for row in tta.task}
     with_episodes = {int(row) for row in source.episodes.task[ids]}
     rows = [row for row in allowed if row in with_tta | with_episodes]
@@ -133,7 +166,7 @@ def cut_file(source: Dataset, cut: Cut, target: Path) -> Dataset:
     tta = {name: tta_of(source, name, rows) for name in source.tta}
     return write_file(
         target,
-        header_of(source, rows),
+        header_of(source, rows, step),
         episodes_of(source, ids),
         {name: tta_set for name, tta_set in tta.items() if tta_set.num_episodes},
         finish,

@@ -99,8 +99,8 @@ def _refuse_empty(cut: Cut, per_task: bool) -> None:
     if not cut.rule() and not per_task:
         raise UsageError(
             "nothing to cut by",
-            hint="give at least one of --quality, --tasks, --train, --test, --episodes, "
-            "--per-task or FILE:slice",
+            hint="give at least one of --quality, --tasks, --train, --test, --progress, "
+            "--return-top, --episodes, --per-task or FILE:slice",
         )
 
 

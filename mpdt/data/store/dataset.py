@@ -35,6 +35,8 @@ class Dataset:
         spec: the datasets.yaml entry that made it; `spec_hash` its SHA-256.
         content_hash: identity of the episodes, whatever the slices, stats or packages.
         parent: content hash of the file it was cut out of, or "".
+        lineage: every step since the data was collected, oldest first: `verb`, what it was made
+            `from` (content hashes) and the rule.
         slices: name -> ascending absolute episode ids; `slice_rules` how they were made.
         stats: field -> statistic -> float64 array, empty before any were computed;
             `stats_info` holds which slice and tasks they saw.
@@ -61,6 +63,7 @@ class Dataset:
     slice_rules: Mapping[str, Mapping[str, Any]] = field(repr=False)
     stats_info: Stats | None = field(repr=False)
     tta: Mapping[str, TtaSet] = field(repr=False)
+    lineage: Sequence[Mapping[str, Any]] = field(default=(), repr=False)
 
     @property
     def stats(self) -> Mapping[str, Mapping[str, Float64]]:

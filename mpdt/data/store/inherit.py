@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.layout import ROLE_CODES
@@ -14,13 +15,18 @@ from mpdt.data.store.ttaset import tta_episodes
 _ROLES = {code: role for role, code in ROLE_CODES.items()}
 
 
-def header_of(dataset: Dataset, rows: Sequence[int] | None = None) -> FileHeader:
+def header_of(
+    dataset: Dataset,
+    rows: Sequence[int] | None = None,
+    step: Mapping[str, Any] | None = None,
+) -> FileHeader:
     """The header of a file cut out of `dataset`, with its hash as parent.
 
     Packages and platform stay those that made the episodes.
 
     Args:
         rows: rows of the task table to keep, ascending; None = all.
+        step: what is done to it now, for the lineage: `verb` and its rule.
     """
     kept = list(range(len(dataset.tasks))) if rows is None else list(rows)
     tasks = [task_rows(dataset)[row] for row in kept]
@@ -39,7 +45,13 @@ def header_of(dataset: Dataset, rows: Sequence[int] | None = None) -> FileHeader
         parent=dataset.content_hash,
         packages=dataset.packages,
         platform=dataset.platform,
+        lineage=(*dataset.lineage, *([] if step is None else [lineage_step(step, dataset)])),
     )
+
+
+def lineage_step(step: Mapping[str, Any], *sources: Dataset) -> dict[str, Any]:
+    """One entry of the lineage: the step with the content hashes it started from."""
+    return dict(step) | {"from": [source.content_hash for source in sources]}
 
 
 def task_rows(dataset: Dataset) -> list[TaskRow]:

@@ -236,6 +236,7 @@ def _read(file: h5py.File, path: Path, arrays: _Arrays, checked: bool = True) ->
         spec_hash=layout.read_text(file, "spec_hash", where),
         content_hash=layout.read_text(file, "content_hash", where),
         parent=layout.read_text(file, "parent", where),
+        lineage=_read_lineage(file, where),
         packages=layout.read_json(file, "packages", where),
         platform=layout.read_json(file, "platform", where),
         tasks=_read_tasks(file["tasks"], family),
@@ -263,6 +264,14 @@ def _read(file: h5py.File, path: Path, arrays: _Arrays, checked: bool = True) ->
                           expected=dataset.content_hash, found=found,
                           hint=damaged_hint(path))  # fmt: skip
     return dataset
+
+
+def _read_lineage(file: h5py.File, where: str) -> tuple[dict[str, Any], ...]:
+    """The steps since the file was collected; none in a file that says nothing about them."""
+    if "lineage" not in file.attrs and "lineage" not in file:
+        return ()
+    steps = layout.read_json(file, "lineage", where)["steps"]
+    return tuple({**step, "from": [str(hash) for hash in step["from"]]} for step in steps)
 
 
 def _read_tasks(group: h5py.Group, family: str) -> tables.Tasks:

@@ -21,6 +21,7 @@ class FileHeader:
         policies: every (task, hash) pair an episode may carry, in the order to be stored.
         parent: content hash of the source of a cut-out file.
         packages, platform: None = of this process.
+        lineage: the steps from the collected file to this one, oldest first; JSON values.
     """
 
     family: str
@@ -36,6 +37,7 @@ class FileHeader:
     parent: str = ""
     packages: Mapping[str, str] | None = None
     platform: Mapping[str, str] | None = None
+    lineage: Sequence[Mapping[str, Any]] = ()
 
     def content(self) -> dict[str, Any]:
         """The part of the header that the content hash covers."""

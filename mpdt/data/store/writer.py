@@ -124,6 +124,8 @@ def _fill(
     with disk(target):
         for key in ("family", "name", "version", "license", "parent"):
             layout.write_text(file, key, getattr(header, key))
+        if header.lineage:
+            layout.write_json(file, "lineage", {"steps": [dict(step) for step in header.lineage]})
         file.attrs["format"] = layout.FORMAT
         layout.write_json(file, "spec", header.spec)
         file.attrs["spec_hash"] = hashlib.sha256(canonical_json(header.spec)).hexdigest()

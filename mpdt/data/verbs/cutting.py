@@ -33,6 +33,10 @@ class Split(Options):
     """Only tasks to train on."""
     test: bool = False
     """Only tasks to test on."""
+    progress: Annotated[str | None, arg(metavar="A:B")] = None
+    """Only episodes from A to B of the way from untrained (0) to final (1)."""
+    return_top: Annotated[float | None, arg(metavar="SHARE")] = None
+    """Only that share of each task's episodes, by highest return."""
     episodes: Annotated[int | None, arg(metavar="N")] = None
     """At most N per task; 10 are inside 100."""
     per_task: bool = False
@@ -43,6 +47,7 @@ class Split(Options):
     """File to write; default FILE-<what was chosen>.h5 beside the source."""
 
     def run(self) -> None:
+        from mpdt.data.slices.choice import parse_progress
         from mpdt.data.slices.cut import Cut
         from mpdt.data.slices.split import split
         from mpdt.errors import UsageError
@@ -56,6 +61,8 @@ class Split(Options):
             quality=self.quality,
             tasks=tasks or None,
             role="train" if self.train else "test" if self.test else None,
+            progress=None if self.progress is None else parse_progress(self.progress),
+            return_top=self.return_top,
             episodes=self.episodes,
         )
         results = split(

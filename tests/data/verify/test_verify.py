@@ -343,7 +343,7 @@ def test_any_flipped_byte_is_told_without_a_traceback(tiny: Path) -> None:
     """Each flip is found, or lies where nothing is stored that anybody reads."""
     whole = tiny.read_bytes()
     random = np.random.Generator(np.random.PCG64(5))
-    for place in random.integers(0, len(whole), 60).tolist():
+    for place in random.integers(0, len(whole), 20).tolist():
         damaged = bytearray(whole)
         damaged[place] ^= 1 << int(random.integers(8))
         tiny.write_bytes(damaged)

@@ -1,0 +1,199 @@
+"""Merge: the episodes of several files of one family in one file, each once, in canonical order.
+
+    a.h5   task 0: random 0-199                    c.h5   task 0: random 0-199, expert 0-99
+    b.h5   task 0: expert 0-99   task 1: ...              task 1: ...
+
+Episodes are told apart by their place (task, quality, block, row) under one root seed: equal
+bytes at one place are one episode, other bytes are a contradiction and refused. Merging the
+cut-outs of a file gives the content hash of that file again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.slices.cut import refuse_to_replace
+from mpdt.data.slices.merge_tta import merged_tta
+from mpdt.data.slices.standard import standard_slices
+from mpdt.data.slices.stats import compute_stats
+from mpdt.data.spec.claim import changed_keys
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.inherit import header_of, lineage_step, task_rows
+from mpdt.data.store.sources import EpisodeSource, FileHeader
+from mpdt.data.store.tables import Additions, TaskRow
+from mpdt.data.store.writer import write_file
+from mpdt.errors import DataError, UsageError
+from mpdt.seeding import UNKNOWN_SEED_KEY
+
+SAME = ("family", "seed", "horizon", "block", "env", "goals", "behaviour")
+"""Keys of the spec that decide what an episode at a place is."""
+
+
+@dataclass(frozen=True)
+class Merged:
+    """The new file, and how many episodes were in more than one source."""
+
+    dataset: Dataset
+    num_repeated: int
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where an episode belongs, and where it is. Sorted by the first four."""
+
+    key: tuple[int, int, int, int]
+    source: int
+    id: int
+
+
+def merge(sources: Sequence[Dataset], target: Path) -> Merged:
+    """Write all episodes of `sources` to `target` and open it.
+
+    Name, version, license and package versions are those of the first source; the spec gains the
+    others' tasks and the larger number of episodes. `parent` is the common parent of cut-outs of
+    one file, with ids of that file as `source`; else the first source. The lineage names all.
+    Slices are the standard ones; statistics are computed anew.
+
+    Raises: UsageError for fewer than two sources; DataError where families, seeds or bytes
+        contradict each other, or `target` is not a cut-out file; StorageError.
+    """
+    if len(sources) < 2:
+        raise UsageError("merge needs at least two files")
+    for source in sources:
+        refuse_to_replace(source, target)
+        _check_kin(sources[0], source)
+    places, num_repeated = _places(sources)
+    header = _header(sources)
+
+    def finish(dataset: Dataset) -> Additions:
+        seen = set(dataset.episodes.task.tolist()) & set(dataset.tasks.train_rows)
+        return Additions(standard_slices(dataset), compute_stats(dataset) if seen else None)
+
+    dataset = write_file(
+        target,
+        header,
+        _episodes(sources, places),
+        merged_tta(sources, [task.index for task in header.tasks]),
+        finish,
+    )
+    return Merged(dataset, num_repeated)
+
+
+def _check_kin(first: Dataset, other: Dataset) -> None:
+    """Can episodes of both stand in one file? Raises: DataError."""
+    shapes = [d.content_header() | {"tasks": None} for d in (first, other)]
+    keys = [{key: d.spec.get(key) for key in SAME} for d in (first, other)]
+    if changes := changed_keys(shapes[0], shapes[1]) + changed_keys(keys[0], keys[1]):
+        raise DataError(
+            f"not made for one file: {'; '.join(changes)}",
+            where=f"{first.path} and {other.path}",
+            hint="train on several files instead, or collect one entry with all you need",
+        )
+
+
+def _places(sources: Sequence[Dataset]) -> tuple[list[_Place], int]:
+    """All episodes in canonical order, each once, and how many were repeated."""
+    found: list[_Place] = []
+    for number, source in enumerate(sources):
+        table, indices = source.episodes, source.tasks.indices
+        columns = (table.task.tolist(), table.quality.tolist(), table.seed_key[:, 3:].tolist())
+        for i, (row, quality, (block, place)) in enumerate(zip(*columns, strict=True)):
+            found.append(_Place((indices[row], quality, block, place), number, i))
+    found.sort(key=lambda place: place.key)
+    kept: list[_Place] = []
+    here: dict[bytes, _Place] = {}  # digests at the current key
+    repeated = 0
+    for place in found:
+        if kept and kept[-1].key != place.key:
+            here.clear()
+        digest = sources[place.source].episodes.digest[place.id].tobytes()
+        if digest in here:
+            repeated += 1
+            continue
+        if here and place.key[2:] != UNKNOWN_SEED_KEY[3:]:
+            other = next(iter(here.values()))
+            raise DataError(
+                "two files hold different episodes of one place",
+                where=f"{sources[other.source].path}: episode {other.id}, "
+                f"{sources[place.source].path}: episode {place.id}",
+                found="task {}, quality {}, block {}, row {}".format(*place.key),
+                hint="see what differs: mpdt-data diff "
+                f"{sources[other.source].path} {sources[place.source].path}",
+            )
+        here[digest] = place
+        kept.append(place)
+    return kept, repeated
+
+
+def _episodes(sources: Sequence[Dataset], places: Sequence[_Place]) -> EpisodeSource:
+    def read() -> Iterator[Episode]:
+        for place in places:
+            yield sources[place.source].episode(place.id)
+
+    steps = sum(int(sources[p.source].episodes.length[p.id]) for p in places)
+    ids = [sources[p.source].episodes.source for p in places] if _parent(sources)[1] else []
+    source_ids = [int(of[p.id]) for of, p in zip(ids, places, strict=False) if of is not None]
+    complete = len(source_ids) == len(places)
+    return EpisodeSource(read(), len(places), steps, source_ids if complete else None)
+
+
+def _parent(sources: Sequence[Dataset]) -> tuple[str, bool]:
+    """Content hash of the parent, and whether all sources were cut out of it."""
+    parents = {source.parent for source in sources}
+    if len(parents) == 1 and (common := parents.pop()):
+        return common, True
+    return sources[0].content_hash, False
+
+
+def _header(sources: Sequence[Dataset]) -> FileHeader:
+    tasks: dict[int, TaskRow] = {}
+    policies: dict[tuple[int, bytes], PolicyInfo] = {}
+    for source in sources:
+        for task in task_rows(source):
+            known = tasks.setdefault(task.index, task)
+            if known.role != task.role:
+                raise DataError(f"task {task.name} is {known.role} and {task.role}",
+                                where=f"{sources[0].path} and {source.path}")  # fmt: skip
+            if not known.references.by_name:
+                tasks[task.index] = task
+        for policy in source.policy_infos():
+            policies.setdefault((policy.task, policy.hash), policy)
+    first = sources[0]
+    step = lineage_step({"verb": "merge"}, *sources)
+    if any(source.lineage for source in sources):
+        step |= {"before": [[dict(old) for old in source.lineage] for source in sources]}
+    return replace(
+        header_of(first),
+        spec=_spec(sources),
+        tasks=[tasks[index] for index in sorted(tasks)],
+        policies=sorted(policies.values(), key=lambda policy: policy.task),
+        parent=_parent(sources)[0],
+        lineage=[step],
+    )
+
+
+def _spec(sources: Sequence[Dataset]) -> Mapping[str, Any]:
+    """The first spec with every source's tasks, and the larger number of each kind of episode."""
+    merged = dict(sources[0].spec)
+    for source in sources[1:]:
+        spec = source.spec
+        if spec.get("tasks") != merged.get("tasks"):
+            merged["tasks"] = _all_tasks(merged.get("tasks"), spec.get("tasks"))
+        if isinstance(counts := spec.get("episodes"), Mapping):
+            own = merged.get("episodes", {})
+            merged["episodes"] = {
+                name: max(counts.get(name, 0), own.get(name, 0)) for name in {*counts, *own}
+            }
+        if isinstance(sets := spec.get("tta"), Mapping):
+            merged["tta"] = dict(sets) | dict(merged.get("tta", {}))
+    return merged
+
+
+def _all_tasks(one: Any, two: Any) -> Any:
+    if "all" in (one, two) or not (isinstance(one, list) and isinstance(two, list)):
+        return "all"
+    return [*one, *(task for task in two if task not in one)]
