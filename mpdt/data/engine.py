@@ -6,7 +6,9 @@ RayCluster    tasks on any node; parts come back through Ray, or lie in a folder
 
 from __future__ import annotations
 
+import shutil
 import tempfile
+import weakref
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -102,7 +104,7 @@ class Delivery:
     content: bytes | None
 
 
-@dataclass
+@dataclass(eq=False)
 class Courier:
     """What runs on a node: simulate a block and hand over its part."""
 
@@ -122,7 +124,8 @@ class Courier:
         return Delivery(report, decisive_versions(), content)
 
     def _own_folder(self) -> PartsFolder:
-        self._temporary = tempfile.TemporaryDirectory(prefix="mpdt-")  # goes with the process
-        folder = PartsFolder(Path(self._temporary.name) / "parts")
+        place = tempfile.mkdtemp(prefix="mpdt-")
+        weakref.finalize(self, shutil.rmtree, place, ignore_errors=True)
+        folder = PartsFolder(Path(place) / "x")
         (folder.path / "blocks").mkdir(parents=True)
         return folder

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
 from mpdt.data.verbs.options import Names, Options, split_names
 
 if TYPE_CHECKING:
+    from mpdt.data.engine import Engine
     from mpdt.data.locking import LockKeeper
     from mpdt.data.plan import Plan
     from mpdt.data.spec.entry import DatasetSpec
@@ -127,8 +128,15 @@ class Collect(Plans):
       mpdt-data collect cheetah_dir
       mpdt-data collect ml10 --workers 2 -o data/ml10.h5
       mpdt-data collect ml10 --smoke --dry-run
+      mpdt-data collect mt50 --engine ray --address auto
     """
 
+    engine: Literal["processes", "ray"] = "processes"
+    """Who does the blocks: processes of this machine, or tasks of a Ray cluster."""
+    address: Annotated[str | None, arg(metavar="HOST:PORT")] = None
+    """Of a running Ray cluster, `auto` for this machine's; default: start one here."""
+    shared_folder: bool = False
+    """Every Ray node sees the target's folder: parts are written there, not sent back."""
     restart: bool = False
     """Start again: delete unfinished parts, replace a finished file."""
     locked: bool = False
@@ -151,7 +159,7 @@ class Collect(Plans):
         spec, target = plan.spec, self.target(plan.spec)
         with show_progress(self.quiet) as tell:
             done = collect(
-                spec, target, workers=self.workers, restart=self.restart,
+                spec, target, engine=self.chosen_engine(), restart=self.restart,
                 lock=self.lock_keeper(), on_progress=tell,
             )  # fmt: skip
         for warning in done.warnings:
@@ -166,6 +174,21 @@ class Collect(Plans):
             f"{verb} {target}   {data.num_episodes:,} episodes   {size:.1f} MB   "
             f"content {data.content_hash[:8]}\n" + level_table(data),
         )
+
+    def chosen_engine(self) -> Engine:
+        """Raises: UsageError for options of the other engine."""
+        from mpdt.data.engine import Processes, RayCluster
+        from mpdt.errors import UsageError
+
+        if self.engine == "ray":
+            if self.workers is not None:
+                raise UsageError("--workers counts processes of this machine",
+                                 hint="a Ray cluster has as many as it has cores")  # fmt: skip
+            return RayCluster(self.address, self.shared_folder)
+        if self.address or self.shared_folder:
+            raise UsageError("--address and --shared-folder are of a Ray cluster",
+                             hint="add --engine ray")  # fmt: skip
+        return Processes(self.workers)
 
     def lock_keeper(self) -> LockKeeper | None:
         """The lock beside the catalog; none for some of an entry's tasks. Raises: UsageError.
