@@ -48,6 +48,9 @@ def read(name: str, paths: Sequence[Path], rules: Rules | None, file_name: str) 
     readers = {key: known.read for key, known in FORMATS.items() if known.read}
     if name not in readers:
         raise unknown_name("format", name, readers, where="--from")
+    if rules is not None and name in ("npz", "parquet"):
+        raise UsageError(f"{name} is read only where mpdt wrote it", where="--family",
+                         hint="leave out --family and what goes with it")  # fmt: skip
     return readers[name](paths, rules, file_name)
 
 

@@ -74,10 +74,15 @@ class Import(Options):
         from mpdt.data.exchange.foreign import quality_code
         from mpdt.data.exchange.treatment import Rules
         from mpdt.data.spec.tasks import get_family
+        from mpdt.errors import UsageError
 
         if self.quality is not None:
             quality_code(self.quality)
         if self.family is None:
+            if self.task or self.quality or self.horizon or self.clip_actions or self.hide_goal:
+                raise UsageError("options for foreign data need a family", where="--family",
+                                 hint="name it, or leave them out: our own exports know all "
+                                      "that")  # fmt: skip
             return None
         family = get_family(self.family)
         if self.task is not None:

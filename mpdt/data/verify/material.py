@@ -19,6 +19,7 @@ from mpdt.data.spec.tasks import FAMILIES, Family
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_tta_rewards, opened
 from mpdt.data.store.tables import Bool, Episodes, Float32, Int64, TtaSet
+from mpdt.seeding import UNKNOWN_SEED_KEY
 
 CHUNK_BYTES = 4 << 20
 
@@ -121,8 +122,10 @@ class Material:
 
     @property
     def is_imported(self) -> bool:
-        """No episode says who acted in it."""
-        return bool((self.dataset.episodes.quality == -1).all())
+        """No episode says who acted in it, or none which seed made it."""
+        episodes = self.dataset.episodes
+        no_seed = (episodes.seed_key == UNKNOWN_SEED_KEY[0]).all()
+        return bool(no_seed or (episodes.quality == -1).all())
 
     @property
     def is_smoke(self) -> bool:

@@ -10,8 +10,12 @@ import h5py
 import numpy as np
 import pytest
 
+from mpdt.data.exchange import d4rl
+from mpdt.data.exchange.treatment import Rules
+from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
+from mpdt.errors import MpdtError
 
 Make = Callable[..., Any]
 
@@ -142,16 +146,16 @@ def test_a_shape_that_no_file_has_is_not_believed(
     assert "terminals is larger than its file can hold" in capsys.readouterr().err
 
 
-def test_damage_never_ends_in_a_traceback(
-    tmp_path: Path, ants: list[Any], run: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damage_is_one_of_our_errors_or_harmless(tmp_path: Path, ants: list[Any]) -> None:
     flat(tmp_path / "a.hdf5", ants)
     data = (tmp_path / "a.hdf5").read_bytes()
+    rules = Rules(format="d4rl", family=get_family("ant_dir"), horizon=4, task="dir-07")
     rng = np.random.default_rng(0)
-    for place in rng.integers(4000, size=60).tolist():
+    for place in rng.integers(4000, size=40).tolist():
         changed = bytearray(data)
         changed[place] ^= 1 << int(rng.integers(8))
         (tmp_path / "b.hdf5").write_bytes(changed)
-        (tmp_path / "x.h5").unlink(missing_ok=True)
-        assert run("import", "b.hdf5", *ANT, "-o", "x.h5") in (0, 1)
-    capsys.readouterr()
+        try:
+            d4rl.read([tmp_path / "b.hdf5"], rules, "b")
+        except MpdtError:
+            continue

@@ -140,3 +140,19 @@ def test_bytes_that_are_no_archive(
     assert run("import", "absent", "--from", "npz", "-o", "x.h5") == 2
     (tmp_path / "empty").mkdir()
     assert run("import", "empty", "--from", "npz", "-o", "x.h5") == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("--family", "cheetah_dir"), "npz is read only where mpdt wrote it"),
+        (("--quality", "expert"), "options for foreign data need a family"),
+        (("--clip-actions",), "options for foreign data need a family"),
+        (("--quality", "exprt"), "did you mean 'expert'"),
+    ],
+)
+def test_options_for_foreign_data_are_refused(
+    export: Path, run: Make, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], text: str
+) -> None:
+    assert run("import", export, "--from", "npz", *words, "-o", "x.h5") == 2
+    assert text in capsys.readouterr().err

@@ -206,6 +206,11 @@ def test_lengths_beyond_the_file_are_refused_without_their_memory(data: bytes) -
     assert len(caught.value.message()) < 500
 
 
+def test_an_array_and_its_bytes_that_disagree() -> None:
+    with pytest.raises(FormatError, match=r"array of shape \(2,\) of float32 has 4 bytes"):
+        load_bytes(array_with(b"K\x02\x85", b"C\x04abcd"), "x.pkl")
+
+
 def test_one_text_copied_again_and_again_does_not_fill_the_memory() -> None:
     text = b"V" + b"a" * 100_000 + b"\np0\n0"
     copies = b"c_codecs\nencode\n(g0\nVlatin1\ntR" * 1000
@@ -214,7 +219,7 @@ def test_one_text_copied_again_and_again_does_not_fill_the_memory() -> None:
 
 
 def test_deep_nesting_is_only_deep() -> None:
-    depth = 200_000
+    depth = 50_000
     assert isinstance(load_bytes(b"\x80\x02" + b"]" * depth + b"a" * (depth - 1) + b".", ""), list)
 
 
@@ -332,7 +337,7 @@ def test_a_numeric_npy_is_none_of_dicts(tmp_path: Path) -> None:
 def test_damage_never_ends_in_anything_but_a_format_error() -> None:
     data = bytearray(dump(example()))
     rng = np.random.default_rng(0)
-    for place in rng.integers(len(data), size=2000):
+    for place in rng.integers(len(data), size=1000):
         changed = bytearray(data)
         changed[place] ^= 1 << int(rng.integers(8))
         try:
