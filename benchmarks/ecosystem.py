@@ -50,7 +50,7 @@ issues = data.metadata.ctx.issues
 assert not issues.errors, issues.report()
 name = next(r.uuid for r in data.metadata.record_sets if r.uuid.startswith("data/"))
 record = next(iter(data.records(name)))
-print(importlib.metadata.version("mlcroissant"), f"{len(record)} fields in the first record of {name}")
+print(importlib.metadata.version("mlcroissant"), f"first record of {name}: {len(record)} fields")
 """,
     ("pandas", "lerobot"): """
 import pandas

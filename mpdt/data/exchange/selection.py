@@ -30,10 +30,12 @@ class Selection:
 
     Args:
         ids: at least one.
+        slice: name of the slice they are; "" for all episodes.
     """
 
     dataset: Dataset
     ids: Int64
+    slice: str = ""
 
     @property
     def is_whole(self) -> bool:
@@ -47,7 +49,8 @@ class Selection:
         """
         if self.is_whole:
             return replace(header_of(self.dataset), parent=self.dataset.parent)
-        return header_of(self.dataset, np.unique(self.dataset.episodes.task[self.ids]).tolist())
+        rows = np.unique(self.dataset.episodes.task[self.ids]).tolist()
+        return header_of(self.dataset, rows, {"verb": "export", "rule": {"slice": self.slice}})
 
     @cached_property
     def content_hash(self) -> str:

@@ -139,7 +139,8 @@ class Export(Options):
         if name and self.slice:
             raise UsageError("two slices", where=self.file, hint="leave out --slice")
         dataset = open_dataset(path)
-        chosen = Selection(dataset, dataset.select(slice=name or self.slice))
+        name = name or self.slice
+        chosen = Selection(dataset, dataset.select(slice=name), name or "")
         if not len(chosen.ids):
             raise DataError("an empty slice", where=self.file)
         target = self.output or Path(f"{path.stem}-{self.format}")

@@ -59,6 +59,8 @@ def test_a_slice_is_the_same_data_as_the_cut_file(
     cut = cut_file(data, Cut(quality="medium"), tmp_path / "medium.h5")
     assert back.content_hash == cut.content_hash
     assert back.parent == data.content_hash
+    step = {"verb": "export", "rule": {"slice": "medium"}, "from": [data.content_hash]}
+    assert [dict(one) for one in back.lineage] == [step]
     assert back.episodes.source is not None and cut.episodes.source is not None
     assert back.episodes.source.tolist() == cut.episodes.source.tolist()
 
