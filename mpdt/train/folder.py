@@ -137,6 +137,15 @@ def claimed(folder: RunFolder, identity: Identity, restart: bool) -> Iterator[No
 def _compare(folder: RunFolder, identity: Identity) -> None:
     """Raises: TrainingError naming what differs from the training of the run that is there."""
     stored = _read_config(folder)
+    old, new = stored.get("training", {}).get("data", {}), identity.training["data"]
+    for key, what in (("family", "another family"), ("content_hash", "other episodes")):
+        if old.get(key) != new[key]:
+            raise TrainingError(
+                f"the run in this folder was trained on {what}", where=str(folder.path),
+                expected=str(old.get(key))[:12], found=new[key][:12],
+                hint="take the file it was trained on, or keep both with "
+                f"--name {folder.path.name}-2",
+            )  # fmt: skip
     changed = differences(stored.get("training", {}), identity.training)
     if changed:
         text = "; ".join(changed[:4]) + (f" and {len(changed) - 4} more" if changed[4:] else "")

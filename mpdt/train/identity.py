@@ -57,6 +57,7 @@ def identify(config: TrainConfig, material: Material) -> Identity:
 def _trained_on(material: Material) -> dict[str, Any]:
     dataset, stats = material.dataset, material.dataset.stats["observations"]
     return {
+        "family": dataset.family,
         "content_hash": dataset.content_hash,
         "slice": material.slice,
         "episodes": _hash_arrays(material.episode_ids[row] for row in material.train_rows),

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 
 from mpdt.data.slices.sampler import WindowSampler
+from mpdt.errors import DataError
 from mpdt.model.backbone import Backbone
 from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.policy import PromptPolicy
@@ -99,6 +100,10 @@ class Trainer:
         lengths = [dataset.episodes.length, *(x.length for x in dataset.tta.values())]
         longest = max(int(length.max(initial=0)) for length in lengths)
         check_fits(self.backbone, config, max(longest, self.material.horizon))
+        if config.prompts.kind == "decomposed" and len(self.material.train_rows) < 2:
+            raise DataError("one training task: there is nothing to share in P_c",
+                            where=str(dataset.path), expected="at least 2 training tasks",
+                            hint="take the family's file, or --method Soft-Prompt")  # fmt: skip
         stats = dataset.stats["observations"]
         self.policy = PromptPolicy(
             self.backbone, config.inputs, config.head, stats["mean"], stats["std"],

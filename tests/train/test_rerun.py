@@ -337,3 +337,41 @@ def test_the_published_protocol_has_no_path_to_rewards(again, monkeypatch):
     assert call(*arguments, "--adapt.starts", *starts, "-q") == 0
     with pytest.raises(AssertionError, match="rewards of X were read"):
         main([str(a) for a in (*arguments, "--adapt.starts", "infer", "-q")])
+
+
+def test_another_family_or_other_episodes_are_named(again, tiny_file, monkeypatch, capsys):
+    from dataclasses import replace
+
+    from mpdt.train import pipeline
+
+    def load_with(**changes):
+        def load(*args):
+            material = load_material(*args)
+            return replace(material, dataset=replace(material.dataset, **changes))
+
+        monkeypatch.setattr(pipeline, "load_material", load)
+
+    folder, _ = again
+    load_with(family="cheetah_vel")
+    assert call("adapt", folder, "--data", tiny_file) == 1
+    error = capsys.readouterr().err
+    assert "was trained on another family; expected cheetah_dir, found cheetah_vel" in error
+    load_with(content_hash="0" * 64)
+    assert call("adapt", folder, "--data", tiny_file) == 1
+    error = capsys.readouterr().err
+    assert "was trained on other episodes; expected " in error and "found 000000000000" in error
+    assert "take the file it was trained on" in error
+
+
+def test_one_training_task_is_too_few_for_a_shared_prompt(tiny_file, tmp_path, monkeypatch, capsys):
+    from dataclasses import replace
+
+    from mpdt.train import pipeline
+
+    monkeypatch.setattr(
+        pipeline, "load_material", lambda *a: replace(load_material(*a), train_rows=(0,))
+    )
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "one"]
+    assert call(*arguments) == 1
+    assert "expected at least 2 training tasks" in capsys.readouterr().err
+    assert not (tmp_path / "one").exists()
