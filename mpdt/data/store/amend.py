@@ -20,6 +20,7 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_header
 from mpdt.data.store.inherit import task_rows
 from mpdt.data.store.reader import open_dataset, read_file
+from mpdt.data.store.seal import check_seal, seal
 from mpdt.data.store.sources import TtaSource
 from mpdt.data.store.tables import Int64, Slice
 from mpdt.data.store.ttaset import fill_tta
@@ -81,5 +82,8 @@ def _copy(path: Path) -> Iterator[tuple[h5py.File, Dataset]]:
             shutil.copyfile(path, temporary)
             file = h5py.File(temporary, "r+", **ALIGNED)
         with closing(file, path):
+            check_seal(file, path)  # or a new seal would cover up the damage
             yield file, dataset
+            with disk(path):
+                seal(file)
         read_file(temporary)

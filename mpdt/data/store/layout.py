@@ -26,8 +26,6 @@ ALIGNMENT_BYTES = 64
 _ATTRIBUTE_LIMIT_BYTES = 60_000  # HDF5 attributes stop at 64 kB (h5py/h5py#1855)
 
 ROLE_CODES: dict[Role, int] = {"train": 0, "test": 1, "both": 2}
-ROOT_TEXTS = ("format", "family", "name", "version", "spec_hash", "content_hash", "parent")
-ROOT_JSON = ("spec", "packages", "platform")
 STATS_FIELDS = ("observations", "actions", "rewards", "returns")
 STATS = ("count", "mean", "std", "min", "max", "q01", "q10", "q50", "q90", "q99")
 

@@ -214,7 +214,7 @@ class TaskRow:
     index: int
     role: Literal["train", "test", "both"]
     env: Mapping[str, Any]
-    references: References = References()
+    references: References = field(default_factory=References)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash, episode_digest
 from mpdt.data.store.reader import open_dataset, read_file
 from mpdt.data.store.references import reference_cells
+from mpdt.data.store.seal import seal
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import Additions, Slice, Stats, TaskRow
 from mpdt.data.store.ttaset import fill_tta
@@ -65,6 +66,7 @@ def write_file(
             file = h5py.File(temporary, "r+", **ALIGNED)
         with closing(file, target), disk(target):
             _write_additions(file, additions, dataset)
+            seal(file)
             file.attrs["complete"] = np.uint8(1)
         read_file(temporary)
     return open_dataset(target)
@@ -180,7 +182,7 @@ def _write_tasks_and_policies(
         "env": [canonical_json(row.env).decode() for row in rows],
         "role": [layout.ROLE_CODES[row.role] for row in rows],
     }
-    for row, task in enumerate(rows):
+    for task in rows:
         cells = reference_cells(task.references, header.action_size)
         for path, value in cells.items():
             values.setdefault(path, []).append(value)
