@@ -186,6 +186,11 @@ def _report(command: Report) -> int:
         print_study(command.folder, command.output, command.json)
     else:
         print_results(read_results(command.folder), command.json)
+        weights = command.folder / "weights.safetensors"
+        if command.output is not None and weights.exists():
+            from mpdt.train.plots import plot_prompts
+
+            plot_prompts(weights, command.output)
     return 0
 
 

@@ -119,7 +119,8 @@ class Report:
     folder: tyro.conf.Positional[Path]
     """A run's folder, such as runs/ml10-base, or a study's results, such as results/first-pass."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Write tables.md, tables.csv and plots of a study there (plots need the extra `docs`)."""
+    """Write tables.md, tables.csv and plots of a study there, or the maps of a run's prompts
+    (plots need the extra `docs`)."""
     json: bool = False
     """Print results.json instead of tables."""
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False

@@ -1,10 +1,14 @@
-"""Pictures of a study: bars per task with intervals, learning curves. Needs the extra `docs`."""
+"""Pictures: bars per task with intervals, curves of training and adaptation, maps of prompts.
+
+Needs the extra `docs`; without matplotlib nothing is drawn, and a warning says so.
+"""
 
 from __future__ import annotations
 
 import importlib.util
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,26 +18,51 @@ if TYPE_CHECKING:
     from mpdt.train.summary import CellResult
 
 _log = logging.getLogger(__name__)
+MAPS = 10  # task prompts drawn, as in the rebuttal
 
 
 def plot_study(cells: Sequence[CellResult], folder: Path) -> list[Path]:
-    """One picture of test tasks and one of losses per data set; none without matplotlib."""
+    """Per data set: test tasks, losses of training, losses of adaptation."""
+    made = []
+    for data in dict.fromkeys(cell.data for cell in cells):
+        own = [cell for cell in cells if cell.data == data]
+        for name, draw in (("tasks", _bars), ("training", _training), ("adaptation", _adaptation)):
+            made += _picture(folder / f"{data}-{name}.png", partial(draw, cells=own))
+    return made
+
+
+def plot_prompts(weights: Path, folder: Path) -> list[Path]:
+    """P_c and the first P_k of a trained run as maps (l, s); nothing for prompts of other kinds."""
+    from mpdt.model.weights import load_weights
+
+    _, tensors = load_weights(weights, kind="mpdt")
+    if "prompts.task_v" not in tensors:
+        return []
+    parts = tensors["prompts.task_v"][:MAPS] @ tensors["prompts.task_u"][:MAPS]
+    maps = {"P_c": tensors["prompts.cross"]} | {f"P_{k}": part for k, part in enumerate(parts)}
+
+    def draw(figure: Any) -> None:
+        for axes, (name, values) in zip(
+            figure.subplots(len(maps), 1, sharex=True), maps.items(), strict=True
+        ):
+            size = float(values.abs().quantile(0.99))
+            axes.imshow(values, aspect="auto", cmap="RdBu", vmin=-size, vmax=size)
+            axes.set_ylabel(name)
+
+    return _picture(folder / "prompts.png", draw)
+
+
+def _picture(path: Path, draw: Callable[[Any], None]) -> list[Path]:
     if importlib.util.find_spec("matplotlib") is None:
         _log.warning("no plots: matplotlib is not installed (python -m pip install 'mpdt[docs]')")
         return []
     from matplotlib.figure import Figure
 
-    made = []
-    for data in dict.fromkeys(cell.data for cell in cells):
-        own = [cell for cell in cells if cell.data == data]
-        for name, draw in (("tasks", _bars), ("curves", _curves)):
-            figure = Figure(figsize=(9, 5), layout="constrained")
-            draw(figure, own)
-            figure.suptitle(data)
-            path = folder / f"{data}-{name}.png"
-            figure.savefig(path, dpi=120)
-            made.append(path)
-    return made
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    draw(figure)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=120)
+    return [path]
 
 
 def _bars(figure: Any, cells: Sequence[CellResult]) -> None:
@@ -57,15 +86,26 @@ def _bars(figure: Any, cells: Sequence[CellResult]) -> None:
     axes.legend(fontsize=6)
 
 
-def _curves(figure: Any, cells: Sequence[CellResult]) -> None:
+def _training(figure: Any, cells: Sequence[CellResult]) -> None:
     """Action loss of the last training phase of every cell."""
+    _curves(figure, cells, "student", "action loss")
+
+
+def _adaptation(figure: Any, cells: Sequence[CellResult]) -> None:
+    """Alignment loss of every start of every cell."""
+    _curves(figure, cells, "adapt", "alignment loss")
+
+
+def _curves(figure: Any, cells: Sequence[CellResult], phase: str, what: str) -> None:
     axes = figure.subplots()
     for cell in cells:
-        for phase, points in cell.content.get("curve", {}).items():
-            if phase == "student":
+        for name, points in cell.content.get("curve", {}).items():
+            if name.startswith(phase):
                 steps, losses = zip(*points, strict=True)
-                axes.plot(steps, losses, label=f"{cell.label} s{cell.seed}", linewidth=1)
+                label = " ".join([cell.label, f"s{cell.seed}", *name.split()[1:]])
+                axes.plot(steps, losses, label=label, linewidth=1)
     axes.set_yscale("log")
     axes.set_xlabel("updates")
-    axes.set_ylabel("action loss")
-    axes.legend(fontsize=6)
+    axes.set_ylabel(what)
+    if axes.lines:
+        axes.legend(fontsize=6)

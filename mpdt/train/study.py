@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from mpdt.data.replacement import disk
 from mpdt.errors import MissingFileError, MpdtError
 from mpdt.train.config import TrainConfig, from_plain, to_plain
@@ -127,12 +129,19 @@ def encode_cell(content: Mapping[str, Any]) -> bytes:
 
 
 def _curve(log: Sequence[Mapping[str, Any]]) -> dict[str, list[list[float]]]:
-    """Per phase at most `CURVE_POINTS` pairs of (update, action loss), the last one among them."""
+    """At most `CURVE_POINTS` pairs of (update, loss) per phase, the last one among them.
+
+    `teacher`, `student`: action loss. `adapt START`: alignment, mean over the test tasks.
+    """
     curves: dict[str, list[list[float]]] = {}
     for record in log:
         if "action_loss" in record:
-            point = [record["step"], round(record["action_loss"], 6)]
-            curves.setdefault(record["phase"], []).append(point)
+            phase, loss = record["phase"], record["action_loss"]
+        elif record["phase"] == "adapt":
+            phase, loss = f"adapt {record['start']}", float(np.mean(record["losses"]))
+        else:
+            continue
+        curves.setdefault(phase, []).append([record["step"], round(loss, 6)])
     every = {phase: -(-len(points) // CURVE_POINTS) for phase, points in curves.items()}
     return {phase: points[::-1][:: every[phase]][::-1] for phase, points in curves.items()}
 
