@@ -141,3 +141,29 @@ def save_calibrations(path: Path, entries: Sequence[Calibration], rule: str) -> 
     head = f'{{"format":{json.dumps(FORMAT)},\n"rule":{json.dumps(rule)},\n"entries":[\n'
     with replacing(path) as temporary, disk(path):
         temporary.write_text(f"{head}{lines}\n]}}\n")
+
+
+def table(entries: Sequence[Calibration]) -> str:
+    """Markdown table of calibrations by task and horizon: rate, level, returns, success.
+
+    r / m / e = random / medium / expert. Written into docs/calibration.md.
+    """
+    lines = [
+        "| task | steps | rate | level | return r / m / e | success r / m / e | episodes r / m / e "
+        "| monotone |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for entry in sorted(entries, key=lambda entry: (entry.task, entry.horizon)):
+        three = (entry.random, entry.medium, entry.expert)
+        columns = (
+            entry.task,
+            f"{entry.horizon}",
+            f"{entry.rate:.3f}",
+            f"{entry.level:.2f} ± {entry.medium.level_error:.2f}",
+            " / ".join(f"{found.mean_return:.0f}" for found in three),
+            " / ".join(f"{found.success:.2f}" for found in three),
+            " / ".join(f"{found.episodes}" for found in three),
+            "yes" if entry.monotone else "no",
+        )
+        lines.append("| " + " | ".join(columns) + " |")
+    return "\n".join(lines) + "\n"
