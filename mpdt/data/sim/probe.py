@@ -80,14 +80,18 @@ class Gauge:
         self._probe, self._horizon = probe, horizon
         self._portion, self._portions, self._error = portion, portions, error
         self.low, self.span = 0.0, 1.0
+        self._ends: dict[float, int] = {}  # episodes behind levels 0 and 1
         self._rescale(portion, portion)
         if self.span > 0:  # enough episodes need a span, and the span needs enough episodes
             self._rescale(self._enough(1.0), self._enough(0.0))
 
     def measure(self, rate: float, num_episodes: int | None = None) -> Measurement:
-        """Level of a rate, of so many episodes; None: until it is known to `error`."""
+        """Level of a rate, of so many episodes; None: until it is known to `error`.
+
+        Rates 1 and 0 answer with the episodes that make the scale: exactly 0 and 1.
+        """
         if num_episodes is None:
-            num_episodes = self._enough(rate)
+            num_episodes = self._ends.get(rate) or self._enough(rate)
         returns, successes = self._probe.outcomes(rate, self._horizon, num_episodes)
         return Measurement(
             rate=rate,
@@ -119,6 +123,7 @@ class Gauge:
         return float(returns.std(ddof=1) / self.span / np.sqrt(len(returns)))
 
     def _rescale(self, num_random: int, num_script: int) -> None:
+        self._ends = {1.0: num_random, 0.0: num_script}
         self.low = float(self._probe.outcomes(1.0, self._horizon, num_random)[0].mean())
         high = float(self._probe.outcomes(0.0, self._horizon, num_script)[0].mean())
         self.span = high - self.low

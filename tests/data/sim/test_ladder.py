@@ -124,7 +124,7 @@ def test_missing_calibration_says_how_to_make_one(folder, tmp_path):
         load_ladder(make_spec(horizon=77), folder)
     assert caught.value.message() == (
         "tiny: 'reach' has no calibrated mixing rate for medium; "
-        "expected a calibration at horizon 77, found horizons [123, 500]"
+        "expected a calibration at horizon 77, found horizons [123, 200, 500]"
     )
     assert caught.value.hint == "mpdt-data calibrate tiny"
     # without medium there is nothing to look up

@@ -56,6 +56,28 @@ def test_a_level_is_measured_until_it_is_known_up_to_a_limit():
     assert strict.measure(0.5).episodes == 20
 
 
+class NoisyEnd(FakeProbe):
+    """The script's episodes return 460, 540, 460, 540, and 420 from then on."""
+
+    def outcomes(self, rate, horizon, num_episodes):
+        if rate:
+            return super().outcomes(rate, horizon, num_episodes)
+        returns = np.array([460.0, 540.0, 460.0, 540.0, *[420.0] * 32])[:num_episodes]
+        return returns, np.ones(num_episodes)
+
+
+def test_the_ends_of_the_scale_are_the_episodes_that_made_it():
+    """4 episodes: span 400. 8: mean 460, std 52.4, 18.5 / 400 < 0.05, so the span is 360.
+
+    Asked anew, 18.5 / 360 > 0.05 would take 12 episodes, whose mean is not level 1.
+    """
+    gauge = Gauge(NoisyEnd(), 500, portion=4, portions=9, error=0.05)
+    assert gauge.span == 360.0
+    expert = gauge.measure(0.0)
+    assert (expert.episodes, expert.mean_return, expert.level) == (8, 460.0, 1.0)
+    assert gauge.measure(1.0).level == 0.0
+
+
 def test_judging_stops_as_soon_as_a_level_is_clearly_wrong():
     gauge = Gauge(FakeProbe(), 500, portion=4, portions=5, error=0.0001)
     # level 0.6 +- 0.0058 after 4: further than 0.05 from one half by more than its error
