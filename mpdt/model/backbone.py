@@ -22,6 +22,7 @@ from einops import rearrange
 from torch import Tensor, nn
 
 from mpdt.errors import BackboneError, ShapeError
+from mpdt.model.adapters import adapted
 from mpdt.model.language import DtypeName, fingerprint, pick_dtype, read_language_model
 from mpdt.model.limits import check_at_least
 from mpdt.model.lowrank import add_low_rank
@@ -62,6 +63,7 @@ class Backbone(nn.Module):
         max_positions: longest prompt plus window the model can place.
         fingerprint: sha256 of the weights it began with, the same for every dtype.
         frozen: whether none of its numbers is trained.
+        reads_adapters: a prompt is not tokens but the weights of `adapters.py`.
         dtype: what the blocks compute in; inputs and outputs are float32 all the same.
     """
 
@@ -84,6 +86,7 @@ class Backbone(nn.Module):
         self.width = int(model.config.hidden_size)
         self.num_layers = int(model.config.num_hidden_layers)
         self.max_positions = int(model.config.max_position_embeddings)
+        self.reads_adapters = False
         self.eval()
 
     def add_low_rank(self, rank: int, alpha: float, seed: int) -> None:
@@ -113,6 +116,9 @@ class Backbone(nn.Module):
         """
         if prompts is None or prompts.shape[1] == 0:
             return NO_PREFIX
+        if self.reads_adapters:
+            shape = "n (L q r) s -> n L q r s"
+            return PrefixCache((), (), 0, rearrange(prompts, shape, L=self.num_layers, q=2))
         self._check_width(prompts, "prompts", 3)
         self._check_room(prompts.shape[1], 0)
         cache = NO_PREFIX.as_model_cache()
@@ -146,7 +152,8 @@ class Backbone(nn.Module):
                 expected=f"{n} prompts",
                 found=str(prompts.shape[0]),
             )
-        self._check_room(0 if prompts is None else prompts.shape[1], tokens.shape[2])
+        tokens_before = 0 if prompts is None or self.reads_adapters else prompts.shape[1]
+        self._check_room(tokens_before, tokens.shape[2])
         prefix = self.encode_prefix(prompts).repeat(M)
         hidden, features = self.forward_with_cache(
             prefix,
@@ -170,7 +177,8 @@ class Backbone(nn.Module):
         """
         length = prefix.length
         self._check_room(length, tokens.shape[1])
-        with _block_outputs(self._blocks(), layer_features) as outputs:
+        blocks = self._blocks()
+        with adapted(blocks, prefix.adapters), _block_outputs(blocks, layer_features) as outputs:
             result = self.model(
                 inputs_embeds=tokens.to(self.dtype),
                 attention_mask=_additive(_visible(mask, length), self.dtype),

@@ -1,4 +1,4 @@
-"""What a soft prompt leaves behind for the tokens after it: keys and values of every block."""
+"""What stands before the tokens: keys and values a soft prompt left behind, or adapters."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class PrefixCache:
-    """Keys and values of soft prompts, per block (rows, key heads, l, head width)."""
+    """Keys and values of soft prompts, per block (rows, key heads, l, head width).
+
+    adapters (rows, L, 2, r, s): weights of a bottleneck behind every block (HDT), or None.
+    """
 
     keys: tuple[Tensor, ...]
     values: tuple[Tensor, ...]
     length: int
+    adapters: Tensor | None = None
 
     def repeat(self, times: int) -> PrefixCache:
         """Row i becomes rows i*times … (i+1)*times - 1. Gradients add up over the copies."""
@@ -22,13 +26,15 @@ class PrefixCache:
             return self
         keys = tuple(k.repeat_interleave(times, dim=0) for k in self.keys)
         values = tuple(v.repeat_interleave(times, dim=0) for v in self.values)
-        return PrefixCache(keys, values, self.length)
+        own = None if self.adapters is None else self.adapters.repeat_interleave(times, dim=0)
+        return PrefixCache(keys, values, self.length, own)
 
     def select(self, rows: Tensor) -> PrefixCache:
         """The cache of the given rows, in that order; rows may repeat."""
         keys = tuple(k.index_select(0, rows) for k in self.keys)
         values = tuple(v.index_select(0, rows) for v in self.values)
-        return PrefixCache(keys, values, self.length)
+        own = None if self.adapters is None else self.adapters.index_select(0, rows)
+        return PrefixCache(keys, values, self.length, own)
 
     @classmethod
     def of_model_cache(cls, cache: Any) -> PrefixCache:

@@ -49,8 +49,9 @@ class TrainedPrompts(Protocol):
 class PromptSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Kind, size and start of what stands before the tokens."""
 
-    kind: Literal["decomposed", "shared", "demonstration", "none"] = "decomposed"
-    """P_c o P_k; one soft prompt for all tasks; steps of an episode (Prompt-DT); nothing."""
+    kind: Literal["decomposed", "shared", "demonstration", "hyper", "none"] = "decomposed"
+    """P_c o P_k; one soft prompt for all tasks; steps of an episode (Prompt-DT); weights of
+    adapters made from such steps (HDT: rank is their width); nothing."""
     length: int = 30
     rank: int = 1
     init_std: float | Literal["embedding"] = "embedding"

@@ -23,7 +23,7 @@ import torch
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.errors import DataError
 from mpdt.model.backbone import Backbone
-from mpdt.model.demonstrations import DemonstrationPrompts
+from mpdt.model.demonstrations import DemonstrationPrompts, HyperPrompts
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import DecomposedPrompts, PromptSettings, SharedPrompt, TeacherPrompts
 from mpdt.model.returns import ReturnTable
@@ -104,6 +104,7 @@ class Trainer:
             raise DataError("one training task: there is nothing to share in P_c",
                             where=str(dataset.path), expected="at least 2 training tasks",
                             hint="take the family's file, or --method Soft-Prompt")  # fmt: skip
+        self.backbone.reads_adapters = config.prompts.kind == "hyper"
         stats = dataset.stats["observations"]
         self.policy = PromptPolicy(
             self.backbone, config.inputs, config.head, stats["mean"], stats["std"],
@@ -131,7 +132,12 @@ class Trainer:
             return SharedPrompt(*shape, seed)
         inputs = copy.deepcopy(self.policy.inputs)
         shown = sample_demonstrations(self.material, settings.length, seed)
-        return DemonstrationPrompts(inputs, as_batch(shown), self.returns, seed)
+        arguments = (inputs, as_batch(shown), self.returns)
+        if settings.kind == "hyper":
+            return HyperPrompts(
+                *arguments, self.backbone.num_layers, settings.rank, self.backbone.width, seed
+            )
+        return DemonstrationPrompts(*arguments, seed)
 
     def train(self) -> Trained:
         """Phases A and B, from whole weights or from the checkpoints if there are any.

@@ -75,6 +75,7 @@ def _family(data: str) -> tuple[Cell, ...]:
         _cell(data, "Soft-Prompt-TTA", _EXPERT),
         _cell(data, "MT-ORL-FT"),
         _cell(data, "LaMo"),
+        _cell(data, "HDT"),
         _cell(data, "Full-FT"),
         _cell(data, "MPDT-WP-frozen", _STARTS),
         _cell(data, "MPDT+sparse", _STARTS),

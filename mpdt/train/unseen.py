@@ -48,6 +48,7 @@ class UnseenTasks:
         self._rows = self._material.test_rows
         self._seed = phase_seed(self._config.seed, "adapt")
         self._weights: Tensor | None = None
+        self._shows = self._config.prompts.kind in ("demonstration", "hyper")
         presets = [self._material.family.return_target] * len(self._rows)
         if self._config.adapt.needs_set:
             self._x = AdaptationSet(
@@ -100,7 +101,7 @@ class UnseenTasks:
         weights = None
         if start in INFERRED:
             weights = self.inferred()
-        elif start == "cross_one" and self._config.prompts.kind == "demonstration":
+        elif start == "cross_one" and self._shows:
             weights = self._best_donors()
         return adapt(
             self._trained.policy, self._trained.prompts, start, self._x, self._returns, source,
@@ -111,7 +112,7 @@ class UnseenTasks:
         trained, weights = self._trained.prompts, None
         if start in INFERRED:
             weights = self.inferred()
-        elif start in UNTUNED and self._config.prompts.kind == "demonstration":
+        elif start in UNTUNED and self._shows:
             start, weights = "infer", self._best_donors()  # demonstrations do not average
         return AdaptedPrompts(trained, start, len(self._rows), weights, self._seed)
 
@@ -127,8 +128,14 @@ class UnseenTasks:
                 trainer.progress.update(f"few-shot {quality}", done, settings.updates,
                                         f"action loss {parts['action_loss']:.4f}")  # fmt: skip
 
+            if settings.demonstration:
+                weights = torch.eye(len(self._rows))
+                own = self._demonstrations()
+                start = AdaptedPrompts(own, "cross_one", len(self._rows), weights)
+            else:
+                start = self._start(settings.start)
             tuned = tune(
-                self._trained.policy, self._start(settings.start), labelled, self._rows,
+                self._trained.policy, start, labelled, self._rows,
                 self._config.sampler.window, self._returns, settings, self._seed, on_step,
             )  # fmt: skip
             family = self._material.family
@@ -142,17 +149,20 @@ class UnseenTasks:
 
     def _demonstrated(self) -> Candidate:
         """An expert episode's steps of the test task itself: Prompt-DT's few-shot setting."""
+        prompts = self._demonstrations().task_prompts().detach()
+        controller = self.controller(prompts, self._returns)
+        return Candidate("expert demonstration", controller, "demonstration")
+
+    def _demonstrations(self) -> DemonstrationPrompts:
         trained = self._trained.prompts
         if not isinstance(trained, DemonstrationPrompts):
-            raise UsageError("only prompts of kind demonstration can show one",
+            raise UsageError("only prompts made from demonstrations can show one",
                              where="few_shot.demonstration",
                              found=f"prompts.kind {self._config.prompts.kind}")  # fmt: skip
-        shown = as_batch(sample_demonstrations(
+        shown = sample_demonstrations(
             self._material, self._config.prompts.length, self._seed, self._rows
-        ))  # fmt: skip
-        prompts = DemonstrationPrompts(trained.inputs, shown, self._returns)
-        controller = self.controller(prompts.task_prompts().detach(), self._returns)
-        return Candidate("expert demonstration", controller, "demonstration")
+        )
+        return trained.showing(as_batch(shown), self._returns)
 
     def inferred(self) -> Tensor:
         """Weights (n, N) of the training tasks, from X and its rewards; computed once."""
@@ -188,7 +198,7 @@ class UnseenTasks:
         model = fit_reward_model(known, settings.infer, self._seed, on_step)
         rewards, _ = open_tta_rewards(dataset.path, settings.set)
         # Demonstrations do not average.
-        most = 1 if self._config.prompts.kind == "demonstration" else settings.infer.tasks
+        most = 1 if self._shows else settings.infer.tasks
         return [
             explain(model, read_transitions(self._x.source, ids, rewards, *box), most)
             for ids in self._x.ids

@@ -23,6 +23,7 @@ from mpdt.train.state import StopRequest
 TINY = {
     "backbone": {"name": "random:tiny"}, "evaluation": {"horizon": 3, "episodes": 1},
     "teacher": {"steps": 2}, "multitask": {"steps": 3}, "inputs": {"time_table": 16},
+    "prompts": {"length": 4},
     "few_shot": {"updates": 1, "per_task": 2, "steps": 12},
     "adapt": {"steps": 1, "infer": {"steps": 5}},
 }  # fmt: skip
