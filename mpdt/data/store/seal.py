@@ -32,10 +32,26 @@ def seal(file: h5py.File) -> None:
 
 def check_seal(file: h5py.File, where: Path) -> None:
     """Raises: FormatError if something in the file is not what its writer sealed."""
-    if file.attrs.get(ATTRIBUTE) != seal_of(file):
+    if not _holds(file):
         raise FormatError("the seal is broken: something outside the episodes was changed",
                           where=str(where), hint="mpdt-data verify says what; collect it again "
                           "or take another copy")  # fmt: skip
+
+
+def seal_holds(path: Path) -> bool:
+    """Whether the file is what its writer sealed. False also for what cannot be read."""
+    try:
+        with h5py.File(path) as file:
+            return _holds(file)
+    except OSError:
+        return False
+
+
+def _holds(file: h5py.File) -> bool:
+    try:
+        return bool(file.attrs.get(ATTRIBUTE) == seal_of(file))
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError):  # HDF5's words for damage
+        return False
 
 
 def seal_of(file: h5py.File) -> str:

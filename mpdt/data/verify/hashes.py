@@ -13,6 +13,7 @@ from mpdt.data.store.digest import content_hash
 from mpdt.data.store.digests import Labels, array_digests
 from mpdt.data.store.fingerprint import lost_runs
 from mpdt.data.store.origin import damaged_hint
+from mpdt.data.store.seal import seal_holds
 from mpdt.data.store.tables import TtaSet
 from mpdt.data.verify.finding import Fault, Finding, judge
 from mpdt.data.verify.material import Chunk, Material, Track
@@ -59,6 +60,8 @@ class HashCheck:
             faults.append(Fault("the content hash does not fit the digests"))
         if hashlib.sha256(canonical_json(data.spec)).hexdigest() != data.spec_hash:
             faults.append(Fault("the spec hash does not fit the spec"))
+        if not seal_holds(self._material.path):
+            faults.append(Fault("the seal is broken: something outside the episodes was changed"))
         for name, tta in data.tta.items():
             finite = np.isfinite(tta.preset_return).all()  # else `tta` tells
             if finite and tta.content_hash not in _tta_hashes(self._material, tta):

@@ -16,6 +16,7 @@ from mpdt.data import replay
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.digests import Labels, array_digests
 from mpdt.data.store.reader import read_file
+from mpdt.data.store.seal import seal as write_seal
 from mpdt.data.store.tables import TtaSet
 from mpdt.data.verify.material import read_material
 
@@ -65,6 +66,7 @@ def reseal(path: Path) -> None:
             file[f"tta/{name}/episodes/digest"][:] = digests
             if np.isfinite(tta.preset_return).all():
                 file[f"tta/{name}"].attrs["content_hash"] = content_hash(identity, digests)
+        write_seal(file)
 
 
 @pytest.fixture
@@ -81,11 +83,16 @@ def tiny(collected: Path, tmp_path: Path, simulated: None) -> Path:
 
 @pytest.fixture
 def change(tiny: Path) -> Callable[..., Path]:
-    """Apply a change to tiny.h5, and reseal it if asked."""
+    """Apply a change to tiny.h5 as a program would that seals it; with honest digests if asked.
 
-    def apply(what: Change, seal: bool = False) -> Path:
+    `broken` leaves the seal of before.
+    """
+
+    def apply(what: Change, seal: bool = False, broken: bool = False) -> Path:
         with changing(tiny) as file:
             what(file)
+            if not broken:
+                write_seal(file)
         if seal:
             reseal(tiny)
         return tiny
