@@ -38,12 +38,13 @@ class Cell:
         return f"{self.data}.{self.label or self.method}.s{self.seed}"
 
 
-# Four tasks of dozens are enough for an update; one episode of each training task for its table.
+# Of dozens of tasks a few are enough for an update: more updates beat larger ones here. One
+# episode of each training task for its table.
 _MANY: Mapping[str, Any] = {
-    "sampler": {"tasks_per_update": 4},
+    "sampler": {"tasks_per_update": 8, "per_task": 4},
     "optimiser": {"warmup_steps": 50},
-    "teacher": {"steps": 300},
-    "multitask": {"steps": 800},
+    "teacher": {"steps": 400},
+    "multitask": {"steps": 1200},
     "evaluation": {"train_episodes": 1},
 }
 _FEW: Mapping[str, Any] = {"teacher": {"steps": 200}, "multitask": {"steps": 400}}
@@ -66,18 +67,18 @@ def _cell(
 def _family(data: str) -> tuple[Cell, ...]:
     """Every method on one family, the ones that matter most first."""
     return (
-        _cell(data, "MPDT-E", _STARTS, _EXPERT),
         _cell(data, "MPDT-no-distillation", _STARTS, _EXPERT),
         _cell(data, "Prompt-DT", {"adapt": {"starts": ["infer"]}}),
         _cell(data, "MT-BC-FT"),
-        _cell(data, "MPDT-WP", _STARTS),
+        _cell(data, "MPDT-E", _STARTS, _EXPERT),
         _cell(data, "MPDT", _STARTS, _EXPERT),
         _cell(data, "Soft-Prompt-TTA", _EXPERT),
+        _cell(data, "MPDT-WP-frozen", _STARTS),
+        _cell(data, "MPDT-WP", _STARTS),
         _cell(data, "MT-ORL-FT"),
         _cell(data, "LaMo"),
         _cell(data, "HDT"),
         _cell(data, "Full-FT"),
-        _cell(data, "MPDT-WP-frozen", _STARTS),
         _cell(data, "MPDT+sparse", _STARTS),
         _cell(data, "Prompt-DT-TTA"),
         *(
