@@ -30,7 +30,7 @@ from mpdt.errors import FormatError, MissingFileError, StorageError
 
 MAX_BYTES = 1 << 30
 MAX_OPERATIONS = 5_000_000
-"""A thousand episodes of five arrays have about 100,000 operations."""
+"""A thousand episodes of five arrays have about 125,000 operations."""
 
 # What numpy writes before the pickle of a list-like object array; anything else is another file.
 _NPY_OF_OBJECTS = re.compile(

@@ -65,6 +65,23 @@ def test_a_slice_is_the_same_data_as_the_cut_file(
     assert back.episodes.source.tolist() == cut.episodes.source.tolist()
 
 
+def test_a_slice_of_one_task_has_tables_of_its_own(
+    collected: Path, run: Make, imported: Make, tmp_path: Path
+) -> None:
+    """Task, policy and goal rows of `backward` start again at 0."""
+    shutil.copy(collected, "all.h5")
+    assert run("split", "all.h5", "--tasks", "backward", "--name", "back") == 0
+    assert run("export", "all.h5:back", "--to", "npz", "-o", "out") == 0
+    back: Dataset = imported("out", "--from", "npz")
+    cut = cut_file(open_dataset(collected), Cut(tasks=("backward",)), tmp_path / "cut.h5")
+    assert back.tasks.names == ("backward",) and back.content_hash == cut.content_hash
+    with np.load("out/tiny.npz") as arrays:
+        assert not arrays["episodes/task"].any() and not arrays["episodes/goal"].any()
+        assert sorted(set(arrays["episodes/policy"].tolist())) == list(
+            range(len(back.policies.names))
+        )
+
+
 def test_a_cut_file_stays_one(collected: Path, run: Make, imported: Make, tmp_path: Path) -> None:
     data = open_dataset(collected)
     cut = cut_file(data, Cut(tasks=("backward",)), tmp_path / "backward.h5")
