@@ -7,11 +7,13 @@ loaded into another backbone, other data or other shapes.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
@@ -40,7 +42,8 @@ def save_weights(path: Path, tensors: Mapping[str, Tensor], header: WeightsHeade
     partial = path.with_name(f"{path.name}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        data = save(own, metadata={"mpdt": msgspec.json.encode(header).decode()})
+        head = {"mpdt": msgspec.json.encode(header).decode(), "sha256": _digest(own)}
+        data = save(own, metadata=head)
         with partial.open("wb") as stream:
             stream.write(data)
             stream.flush()
@@ -70,13 +73,19 @@ def load_weights(
         )
     try:
         with safe_open(path, framework="pt") as stored:
-            text = (stored.metadata() or {}).get("mpdt")
+            head = stored.metadata() or {}
             tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise FormatError(
             "not a whole safetensors file", where=str(path), found=str(error)
         ) from error
-    header = _read_header(path, text)
+    header = _read_header(path, head.get("mpdt"))
+    if head.get("sha256", "") != _digest(tensors):
+        raise FormatError(
+            "the numbers are not those that were written",
+            where=str(path),
+            hint="take another copy, or train again",
+        )
     if kind is not None and header.kind != kind:
         raise FormatError("other weights", where=str(path), expected=kind, found=header.kind)
     for name, value in (hashes or {}).items():
@@ -91,6 +100,16 @@ def load_weights(
     if shapes is not None:
         check_shapes(shapes, tensors, str(path))
     return header, tensors
+
+
+def _digest(tensors: Mapping[str, Tensor]) -> str:
+    """SHA-256 over name, type, shape and bytes of each tensor, in order of the names."""
+    whole = hashlib.sha256()
+    for name in sorted(tensors):
+        tensor = tensors[name].cpu().contiguous()
+        whole.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
+        whole.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
+    return whole.hexdigest()
 
 
 def check_shapes(

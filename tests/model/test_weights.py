@@ -98,3 +98,11 @@ def test_disk_that_refuses(tmp_path: Path) -> None:
 
 def test_module_shapes() -> None:
     assert module_shapes(torch.nn.Linear(3, 2)) == {"weight": (2, 3), "bias": (2,)}
+
+
+def test_a_flipped_bit_of_a_number_is_found(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1  # the numbers stand at the end
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match="not those that were written"):
+        load_weights(path)
