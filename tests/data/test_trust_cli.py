@@ -44,7 +44,7 @@ def test_verify_locked_as_the_manual_shows_it(tiny_file: Path, capsys: Capture) 
 def test_a_failing_verify_says_so_everywhere(tiny_file: Path, capsys: Capture) -> None:
     with h5py.File("tiny.h5", "r+") as file:
         file["episodes/return"][3] = 0.5
-    words = ["verify", "tiny.h5", "--skip", "replay,leak", "--markdown", "v.md", "--json", "-q"]
+    words = ["verify", "tiny.h5", "--skip", "replay,hash", "--markdown", "v.md", "--json", "-q"]
     assert main(words) == 1
     out, err = capsys.readouterr()
     found = json.loads(out)

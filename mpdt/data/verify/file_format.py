@@ -8,8 +8,9 @@ import h5py
 
 from mpdt.data.store import layout
 from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.opening import opened
 from mpdt.data.store.origin import damaged_hint
-from mpdt.data.store.reader import opened, read_file
+from mpdt.data.store.reader import read_file
 from mpdt.data.verify.finding import Fault, Finding, Outcome, judge
 from mpdt.errors import FormatError
 

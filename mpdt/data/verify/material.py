@@ -17,7 +17,8 @@ import numpy as np
 
 from mpdt.data.spec.tasks import FAMILIES, Family
 from mpdt.data.store.dataset import Dataset
-from mpdt.data.store.reader import open_tta_rewards, opened
+from mpdt.data.store.opening import opened
+from mpdt.data.store.reader import open_tta_rewards
 from mpdt.data.store.tables import Bool, Episodes, Float32, Int64, TtaSet
 from mpdt.seeding import UNKNOWN_SEED_KEY
 
