@@ -38,11 +38,11 @@ def test_shipped_networks_put_random_below_medium_below_expert(name: str) -> Non
         assert record["random"][task.name] < medium < final, task.name
 
 
-@pytest.mark.parametrize("horizon", [200, 500])
-def test_shipped_calibrations_put_random_below_medium_below_expert(horizon: int) -> None:
-    shipped = load_calibrations(Path("/nowhere"))
-    for task in CATALOG.get("mt50").resolve_tasks():
-        found = shipped[task.name, horizon]
+@pytest.mark.parametrize("name", [*METAWORLD, "ml10_h200", "mt10_h200"])
+def test_shipped_calibrations_put_random_below_medium_below_expert(name: str) -> None:
+    shipped, spec = load_calibrations(Path("/nowhere")), CATALOG.get(name)
+    for task in spec.resolve_tasks():
+        found = shipped[task.name, spec.horizon]
         assert BAND[0] <= found.level <= BAND[1], task.name
         levels = (found.random, found.medium, found.expert)
         returns = [measured.mean_return for measured in levels]
