@@ -127,7 +127,6 @@ class Collect(Plans):
     Examples:
       mpdt-data collect cheetah_dir
       mpdt-data collect ml10 --workers 2 -o data/ml10.h5
-      mpdt-data collect ml10 --smoke --dry-run
       mpdt-data collect mt50 --engine ray --address auto
     """
 
