@@ -27,7 +27,8 @@ from mpdt.seeding import Quality, SeedKey, Stream
 
 CAREFUL = 8
 """Times the episodes, for the final snapshot and those that may become medium."""
-NEAR = 0.2
+NEAR = 0.3
+"""Of one half, by the mean level over tasks."""
 
 
 def describe_rungs(
@@ -66,8 +67,8 @@ def describe_rungs(
     returns = returns[: best + 1]
     returns[best] = returns_of(paths[best], CAREFUL * episodes)
     # A few episodes find the snapshots near one half; which is nearest needs more.
-    near = np.abs((returns - random) / (returns[-1] - random) - 0.5) <= NEAR
-    for i in np.flatnonzero(near.any(axis=1)):
+    levels = ((returns - random) / (returns[-1] - random)).mean(axis=1)
+    for i in np.flatnonzero(np.abs(levels - 0.5) <= NEAR):
         returns[i] = returns_of(paths[i], CAREFUL * episodes)
     levels = (returns - random) / (returns[-1] - random)
     names = [task.name for task in family.tasks]
