@@ -70,7 +70,7 @@ def small(name: str) -> DatasetSpec:
     return msgspec.structs.replace(
         spec,
         tasks=tasks,
-        horizon=200 if name in METAWORLD else 20,
+        horizon=200,
         block=2,
         reference=1,
         episodes=EpisodeCounts(random=2, medium=2, expert=2, history=2)
