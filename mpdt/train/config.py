@@ -61,6 +61,17 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
                 raise SpecError("setting out of range", where=name,
                                 expected=f"{low} to {high}",
                                 found=str(getattr(self, name)))  # fmt: skip
+        shots = self.few_shot
+        if not shots.qualities:
+            return
+        if self.prompts.kind == "none" and shots.tuned == "prompt":
+            raise SpecError("few-shot has no prompt to tune", where="prompts.kind none",
+                            hint="--few-shot.tuned all --few-shot.start none")  # fmt: skip
+        if shots.start == "infer_aligned" and not self.adapt.infers:
+            raise SpecError("few-shot starts from an inferred task, and none is inferred",
+                            where="few_shot.start", expected="infer among adapt.starts",
+                            found=" ".join(self.adapt.starts),
+                            hint="--adapt.starts infer")  # fmt: skip
 
 
 def to_plain(config: TrainConfig) -> dict[str, Any]:

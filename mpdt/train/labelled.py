@@ -24,10 +24,10 @@ from torch import Tensor
 
 from mpdt.data.slices.sampler import RewardColumns, WindowSampler
 from mpdt.data.store.reader import Dataset
-from mpdt.errors import DataError
+from mpdt.errors import DataError, UsageError
 from mpdt.model.limits import check_above_zero, check_at_least
 from mpdt.model.policy import PromptPolicy
-from mpdt.model.prompts import AdaptedPrompts, Start
+from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start
 from mpdt.model.returns import ReturnTable
 from mpdt.train.multitask import OptimiserSettings, fit, make_optimizer
 
@@ -60,6 +60,11 @@ class FewShotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         for name in ("steps", "updates", "per_task"):
             check_at_least(f"few_shot.{name}", getattr(self, name), 1)
         check_above_zero("few_shot.lr", self.lr)
+        if self.tuned == "prompt" and self.start in UNTUNED:
+            raise UsageError("this start tunes nothing", where="few_shot.start",
+                             expected="cross, cross_mean, cross_one, cross_random, infer_aligned",
+                             found=self.start,
+                             hint="or tune the policy: --few-shot.tuned all")  # fmt: skip
 
 
 @dataclass(frozen=True)

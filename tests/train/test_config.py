@@ -5,6 +5,7 @@ import pytest
 
 from mpdt.errors import SpecError, UsageError
 from mpdt.train.config import TrainConfig, differences, from_plain, to_plain
+from mpdt.train.methods import merge
 from mpdt.train.presets import PRESETS, get_preset, paper
 
 
@@ -40,3 +41,17 @@ def test_refusals():
         TrainConfig(target_quantile=1.5)
     with pytest.raises(SpecError, match="not a training configuration"):
         from_plain({"sede": 1})
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"prompts": {"kind": "none"}}, "few-shot has no prompt to tune"),
+        ({"few_shot": {"start": "infer_aligned"}}, "none is inferred"),
+        ({"few_shot": {"start": "none"}}, "this start tunes nothing"),
+    ],
+)
+def test_few_shot_that_cannot_work_is_refused_before_training(changes, text):
+    plain = merge(to_plain(TrainConfig()), {"few_shot": {"qualities": ["expert"]}})
+    with pytest.raises(UsageError, match=text):
+        from_plain(merge(plain, changes))
