@@ -89,9 +89,9 @@ def task_rows(data: Dataset) -> list[list[str]]:
         level = (data.episodes.returns[medium].mean() - low) / (high - low)
         cells = [name, roles[int(tasks.roles[row])]]
         for policy in ("zero", "random", "constant", "expert"):
-            mean = float(getattr(tasks, f"ref_{policy}")[row])
-            error = float(getattr(tasks, f"ref_{policy}_error")[row])
-            cells.append("-" if np.isnan(mean) else f"{mean:,.1f} ± {error:,.1f}")
+            found = tasks.references[row][policy]
+            known = not np.isnan(found.mean)
+            cells.append(f"{found.mean:,.1f} ± {found.error:,.1f}" if known else "-")
         cells += [*per_quality(data, row, success=False), f"{level:.2f}"]
         if data.steps.successes is not None:
             cells.append(" / ".join(per_quality(data, row, success=True)[:3]))
