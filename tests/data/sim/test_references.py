@@ -175,7 +175,7 @@ def test_a_local_score_wins(shipped: dict[str, Score], tmp_path: Path) -> None:
 
 
 def test_the_shipped_record_is_precise_and_canonical(tmp_path: Path) -> None:
-    """Two percent of the span, or as many episodes as are ever played."""
+    """Two percent of the span; Meta-World, whose successes are all or nothing, within six."""
     book = load_shipped()
     path = Path(module.__file__).parents[1] / "weights" / "references.json"
     rule = json.loads(path.read_text())["rule"]
@@ -188,7 +188,8 @@ def test_the_shipped_record_is_precise_and_canonical(tmp_path: Path) -> None:
             span = abs(expert.mean - found.scores["random"].mean)
             rest = [score for name, score in found.scores.items() if name not in experts]
             for score in (expert, *rest):
-                assert score.error <= 0.02 * span or score.episodes >= 1280, (found.scene, score)
+                limit = 0.06 if found.scene.startswith("sawyer") else 0.02
+                assert score.error <= limit * span, (found.scene, score)
 
 
 def test_the_first_shipped_episodes_can_be_played_again() -> None:
