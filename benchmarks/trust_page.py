@@ -50,8 +50,8 @@ def torture(found: dict[str, Any]) -> str:
     cells = [[name, count] for name, count in (where | signals).items()]
     return (
         f"\n## {found['kills']} kills\n\n"
-        f"`python benchmarks/torture.py`: {found['kills']} kills in {found['seconds'] / 60:.0f} min, "
-        f"a third of them aimed at the pack. After each the target was absent or whole; {compared} "
+        f"`python benchmarks/torture.py`: {found['kills']} kills in {found['seconds'] / 60:.0f} "
+        f"min, a third of them aimed at the pack. After each the target was absent or whole; {compared} "
         f"finished files had the content hash of the undisturbed run; no worker outlived its "
         "collector.\n\n" + table(["killed in / by", "times"], cells)
     )
@@ -68,8 +68,8 @@ def fuzz(found: dict[str, Any]) -> str:
                 groups[key if key in groups else "missed"] += count
             rows.append([what, sum(counts.values()), *groups.values()])
     return (
-        "\n## Damage\n\n`python benchmarks/fuzz.py`. found = a FAIL of `verify` or one clear error; "
-        "unchanged = padding, nothing that can be read differs; accepted = a text that now says "
+        "\n## Damage\n\n`python benchmarks/fuzz.py`. found = a FAIL of `verify` or one clear "
+        "error; unchanged = padding, nothing that can be read differs; accepted = a text that now says "
         "something else and may (an entry is what its author writes; its hash changes with it); "
         "crash or hang = inside libhdf5; missed = read as good although it differs, or a "
         "traceback.\n\n"
