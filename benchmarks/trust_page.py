@@ -51,9 +51,9 @@ def torture(found: dict[str, Any]) -> str:
     return (
         f"\n## {found['kills']} kills\n\n"
         f"`python benchmarks/torture.py`: {found['kills']} kills in {found['seconds'] / 60:.0f} "
-        f"min, a third of them aimed at the pack. After each the target was absent or whole; {compared} "
-        f"finished files had the content hash of the undisturbed run; no worker outlived its "
-        "collector.\n\n" + table(["killed in / by", "times"], cells)
+        "min, a third of them aimed at the pack. After each the target was absent or whole; "
+        f"{compared} finished files had the content hash of the undisturbed run; no worker "
+        "outlived its collector.\n\n" + table(["killed in / by", "times"], cells)
     )
 
 
@@ -69,9 +69,9 @@ def fuzz(found: dict[str, Any]) -> str:
             rows.append([what, sum(counts.values()), *groups.values()])
     return (
         "\n## Damage\n\n`python benchmarks/fuzz.py`. found = a FAIL of `verify` or one clear "
-        "error; unchanged = padding, nothing that can be read differs; accepted = a text that now says "
-        "something else and may (an entry is what its author writes; its hash changes with it); "
-        "crash or hang = inside libhdf5; missed = read as good although it differs, or a "
+        "error; unchanged = padding, nothing that can be read differs; accepted = a text that "
+        "now says something else and may (an entry is what its author writes; its hash changes "
+        "with it); crash or hang = inside libhdf5; missed = read as good although it differs, or a "
         "traceback.\n\n"
         + table(
             ["damage", "files", "found", "unchanged", "accepted", "crash or hang", "missed"], rows

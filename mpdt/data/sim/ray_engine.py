@@ -20,7 +20,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from typing import Any, TypeVar
 
-from mpdt.data.sim.engines import THREAD_VARIABLES
+from mpdt.data.sim.engines import WORKER_ENVIRONMENT
 from mpdt.errors import MpdtError, SimulatorError
 
 Item = TypeVar("Item")
@@ -85,7 +85,7 @@ def _connect(address: str | None) -> Any:
             "the engine 'ray' needs Ray", hint="pip install 'mpdt[ray]'"
         ) from error
     # Set before a worker imports numpy; see engines.py.
-    runtime = {"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")}
+    runtime = {"env_vars": WORKER_ENVIRONMENT}
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address is None:
         options["include_dashboard"] = False

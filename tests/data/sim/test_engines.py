@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import platform
 import re
 import signal
 import subprocess
@@ -38,6 +39,13 @@ def test_workers_are_other_processes_with_one_thread(monkeypatch: pytest.MonkeyP
     assert values == ["1"] * len(THREAD_VARIABLES)
     assert os.environ["OMP_NUM_THREADS"] == "7"
     assert "OPENBLAS_NUM_THREADS" not in os.environ
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="a kernel of x86")
+def test_workers_use_one_blas_kernel_whatever_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Prescott")
+    assert list(map_blocks(os.getenv, ["OPENBLAS_CORETYPE"], 1)) == ["Haswell"]
+    assert os.environ["OPENBLAS_CORETYPE"] == "Prescott"
 
 
 def test_workers_never_see_ctrl_c() -> None:
