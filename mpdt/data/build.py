@@ -128,7 +128,7 @@ def _collect(
             folder.delete()
             return Collected(finished, is_new=False)
         folder.agree(describe_plan(plan))
-        reports, resumed = _run_missing(plan, folder, engine, on_progress or (lambda _: None))
+        reports, resumed = run_missing(plan, folder, engine, on_progress or (lambda _: None))
         levels = measure_levels(plan, reports)
         warnings = check_levels(plan, levels, str(folder.path))
         dataset = pack(plan, folder, reports, policies, levels, approve)
@@ -210,7 +210,7 @@ def check_space(plan: Plan, target: Path) -> None:
         )
 
 
-def _run_missing(
+def run_missing(
     plan: Plan, folder: PartsFolder, engine: Engine, on_progress: OnProgress
 ) -> tuple[list[BlockReport], int]:
     """Reports of all blocks, and how many of them an earlier run had finished."""

@@ -22,6 +22,7 @@ from typing import Annotated, Any, NoReturn, Union
 
 import tyro
 
+from mpdt.data.verbs.adding import Tta
 from mpdt.data.verbs.cutting import Split
 from mpdt.data.verbs.editing import Diff, Drop, Merge
 from mpdt.data.verbs.exchange import Export, Import
@@ -41,6 +42,7 @@ VERBS: dict[str, type[Options]] = {
     "merge": Merge,
     "drop": Drop,
     "diff": Diff,
+    "tta": Tta,
     "import": Import,
     "export": Export,
     "pretrain": Pretrain,

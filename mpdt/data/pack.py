@@ -6,7 +6,7 @@ the target stays until the new one has been read back and compared with the part
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -57,9 +57,7 @@ def pack(
     tta: dict[str, TtaSource] = {}
     for name in sorted(plan.spec.tta):
         if blocks := plan.of_kind("tta", name):
-            tta[name] = TtaSource(
-                episodes(blocks), *counts(blocks), _preset_returns(plan, name), _rule(plan, name)
-            )
+            tta[name] = tta_source(plan, name, episodes(blocks), *counts(blocks))
     source = EpisodeSource(episodes(stored), *counts(stored))
     references = {task: level.references for task, level in levels.items()}
 
@@ -71,6 +69,15 @@ def pack(
         )
 
     return write_file(folder.target, _header(plan, policies), source, tta, finish)
+
+
+def tta_source(
+    plan: Plan, name: str, episodes: Iterable[Episode], num_episodes: int, num_steps: int
+) -> TtaSource:
+    """One set as the writer takes it: its episodes, and what the spec says of them."""
+    return TtaSource(
+        episodes, num_episodes, num_steps, _preset_returns(plan, name), _rule(plan, name)
+    )
 
 
 def _header(plan: Plan, policies: Sequence[PolicyInfo]) -> FileHeader:

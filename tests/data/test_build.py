@@ -152,7 +152,7 @@ def test_parts_are_gone_and_nothing_else_is_left(tiny_file: Path, workplace: Pat
 def test_a_finished_file_is_left_alone(
     tiny_file: Path, tiny_spec: DatasetSpec, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(build, "_run_missing", None)  # would fail if anything were run
+    monkeypatch.setattr(build, "run_missing", None)  # would fail if anything were run
     before = tiny_file.stat().st_mtime_ns
     done = collect(tiny_spec, tiny_file, workers=0)
     assert not done.is_new
