@@ -160,6 +160,7 @@ def evaluate(
     max_rows: int = 128,
     on_progress: Callable[[int, int], None] | None = None,
     make: Make = make_batch,
+    goal_key: Callable[[SeedKey], SeedKey] = lambda key: key,
 ) -> Evaluation:
     """Run `episodes` episodes of every task and add up the rewards.
 
@@ -170,6 +171,7 @@ def evaluate(
             so more episodes or other tasks change no existing one.
         on_progress: called with (steps done, steps in all) once per simulated step.
         make: builds the simulators; hand in `SimulatorCache().make` to build them once.
+        goal_key: what an episode's goal is drawn from, given the episode's own key.
     Raises: TrainingError if the controller's actions are not finite numbers.
     """
     n, E = len(tasks), episodes
@@ -187,7 +189,7 @@ def evaluate(
         ]
         at = np.array(chunk).T
         controller.begin(at[0], keys)
-        observations = env.reset(keys, env.draw_goals(keys))
+        observations = env.reset(keys, env.draw_goals([goal_key(key) for key in keys]))
         alive = np.ones(len(chunk), np.bool_)
         for step in range(horizon):
             shown = observations.astype(np.float32)

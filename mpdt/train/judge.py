@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -66,7 +67,12 @@ class Judge:
         if not material.test_rows or "test" not in blocks:
             return with_verdicts(scores)
         same = config.evaluation.train_episodes in (0, config.evaluation.episodes)
-        if references and same and material.test_rows == material.train_rows:
+        if material.goals is not None:  # the tasks are known, their goals are not
+            with torch.no_grad():
+                own = unseen.controller(self.trained.prompts.task_prompts(), self.trained.returns)
+            label = f"{config.method} own prompts"
+            scores += self._score("test", label, material.test_rows, own, "nothing")
+        if references and same and material.one_table:
             # The same episodes: a trivial policy is run on a task once.
             scores += [msgspec.structs.replace(score, block="test") for score in references]
         else:
@@ -79,20 +85,19 @@ class Judge:
         return with_verdicts(scores)
 
     def _evaluate(
-        self, label: str, rows: Sequence[int], controller: Controller, episodes: int, seed: int
-    ) -> Evaluation:
+        self, block: Block, label: str, rows: Sequence[int], controller: Controller, episodes: int,
+    ) -> Evaluation:  # fmt: skip
         material, settings = self.trainer.material, self.trainer.config.evaluation
 
         def on_progress(done: int, total: int) -> None:
             self.trainer.stop.check()
-            if label:
-                self.trainer.progress.update(label, done, total)
+            self.trainer.progress.update(label, done, total)
 
         with torch.no_grad():
             return evaluate(
                 controller, material.family, material.tasks(rows), material.options,
-                settings.horizon or material.horizon, episodes, seed, settings.max_rows,
-                on_progress, self.simulators.make,
+                settings.horizon or material.horizon, episodes, settings.seed, settings.max_rows,
+                on_progress, self.simulators.make, partial(material.goal_key, block=block),
             )  # fmt: skip
 
     def _score(
@@ -105,7 +110,7 @@ class Judge:
     ) -> list[Score]:
         settings = self.trainer.config.evaluation
         episodes = (settings.train_episodes if block == "train" else 0) or settings.episodes
-        result = self._evaluate(f"{block}: {method}", rows, controller, episodes, settings.seed)
+        result = self._evaluate(block, f"{block}: {method}", rows, controller, episodes)
         random, expert = self._means("random", rows), self._means("expert", rows)
         return scores_of(
             block, method, result.tasks, result.returns, result.successes, random, expert, reads

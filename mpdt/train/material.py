@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.slices.windows import WindowBatch, gather_windows, reward_returns
+from mpdt.data.spec.goals import GoalSet
 from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.data.store.reader import Dataset, open_dataset, parse_ref
 from mpdt.errors import DataError, unknown_name
 from mpdt.model.returns import ReturnTable
+from mpdt.seeding import SeedKey
 
 Ids = NDArray[np.int64]
 AUTO, ALL = "auto", "all"
@@ -54,6 +56,25 @@ class Material:
     @property
     def horizon(self) -> int:
         return int(self.dataset.spec.get("horizon", self.family.horizon))
+
+    @property
+    def goals(self) -> GoalSet | None:
+        """Numbered goals of the data, some held out; None: a goal of its own per episode."""
+        found = self.dataset.spec.get("goals")
+        return None if found is None else GoalSet(**found)
+
+    @property
+    def one_table(self) -> bool:
+        """Whether test and training episodes are the same: same tasks, nothing held out."""
+        return self.test_rows == self.train_rows and self.goals is None
+
+    def goal_key(self, key: SeedKey, block: str) -> SeedKey:
+        """What an evaluation episode's goal is drawn from: training or held-out ones in turn."""
+        if self.goals is None:
+            return key
+        key = replace(key, seed=int(self.dataset.spec["seed"]))
+        draw = self.goals.training_key if block == "train" else self.goals.held_out_key
+        return draw(key, 1)
 
     def tasks(self, rows: Sequence[int]) -> list[Task]:
         """The family's tasks behind rows of the file."""

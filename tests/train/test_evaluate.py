@@ -92,6 +92,11 @@ def test_seeds_depend_on_task_and_episode_alone():
     assert keys == [(5, 3, 7, E, 0, 0), (5, 3, 7, E, 0, 1), (5, 3, 9, E, 0, 0), (5, 3, 9, E, 0, 1)]
 
 
+def test_goals_may_be_drawn_from_other_keys():
+    run(Watcher(), goal_key=lambda key: key.at_row(key.row + 40))
+    assert [key.row for key in ToyEnv.keys] == [40, 41, 40, 41]
+
+
 def test_chunks_change_nothing():
     whole, chunked = run(Watcher()), run(Watcher(), max_rows=3)
     np.testing.assert_array_equal(whole.returns, chunked.returns)

@@ -4,12 +4,14 @@ Rewards of the tiny file are 1 + quality code at every step: expert 3, medium 2,
 Lengths of task 0: rows 0..3 -> 6 7 8 9; of task 1: 7 8 9 6.
 """
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mpdt.errors import DataError, UsageError
+from mpdt.seeding import Quality, SeedKey
 from mpdt.train.material import load_material, return_table
 
 
@@ -109,3 +111,19 @@ def test_the_range_of_returns_is_kept_not_its_values(tiny_file):
     table = return_table(toy, "task", quantile=0.0)
     assert (table.low.item(), table.high.item(), table.scale.item()) == (-4.0, 5.0, 5.0)
     assert table.target.item() == -3.0
+
+
+def test_goals_are_drawn_as_the_data_drew_them(tiny_file):
+    """Of four goals the last is held out: training meets 0 1 2 0, the test the last one only."""
+    material = load_material(str(tiny_file), "expert")
+    keys = [SeedKey(99, 0, 1, int(Quality.EVALUATION), 0, row) for row in range(4)]
+    assert material.goals is None and material.one_table
+    assert [material.goal_key(key, "test") for key in keys] == keys
+    spec = dict(material.dataset.spec) | {"goals": {"count": 4, "held_out": 1}, "seed": 7}
+    held = replace(material, dataset=replace(material.dataset, spec=spec))
+    assert not held.one_table
+    found = {block: [held.goal_key(key, block) for key in keys] for block in ("train", "test")}
+    assert [key.row for key in found["train"]] == [0, 1, 2, 0]
+    assert [key.row for key in found["test"]] == [3, 3, 3, 3]
+    for key in (*found["train"], *found["test"]):
+        assert (key.seed, key.task, key.quality) == (7, 1, Quality.GOALS), "the data's own seed"
