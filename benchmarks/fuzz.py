@@ -182,7 +182,7 @@ def mutate_hdf5(path: Path, random: Random) -> None:
         elif choice == 2:
             item = file[str(random.choice([h for h in holders if len(file[h].attrs)]))]
             key = str(random.choice(list(item.attrs)))
-            item.attrs[key] = random.choice(["", "x", "{}", "mpdt/2", "-1", "null"])
+            item.attrs[key] = str(random.choice(["", "x", "{}", "mpdt/2", "-1", "null"]))
         elif choice == 3 and array.dtype.kind in "iufb" and array.size:
             values = array[()]
             flat = values.reshape(-1)
@@ -288,9 +288,9 @@ def to_yaml(value: Any, indent: int = 0) -> str:
 # ---- the run ---------------------------------------------------------------------------------
 
 
-def fuzz(flips: int, mutations: int, seed: int) -> dict[str, dict[str, int]]:
+def fuzz(flips: int, mutations: int, seed: int, limit_s: float) -> dict[str, dict[str, int]]:
     random = np.random.Generator(np.random.PCG64(seed))
-    worker = Worker()
+    worker, end = Worker(), time.monotonic() + limit_s
     table: dict[str, Counter[str]] = {}
     with tempfile.TemporaryDirectory() as name:
         files = originals(Path(name))
@@ -304,13 +304,10 @@ def fuzz(flips: int, mutations: int, seed: int) -> dict[str, dict[str, int]]:
             if outcome.startswith(("MISSED", "TRACEBACK")):
                 print(f"{row}: {outcome}", flush=True)
 
-        for number in range(flips):
-            damaged.with_suffix(".h5").write_bytes(flip(contents["dataset"], random))
-            look("dataset", "bit flips of a dataset")
-            if number % 500 == 499:
-                print(f"{number + 1} flips {dict(table['bit flips of a dataset'])}", flush=True)
         kinds = ["dataset"] * 3 + [kind for kind in files if kind != "dataset"]
         for number in range(mutations):
+            if time.monotonic() > end:
+                break
             kind = kinds[number % len(kinds)]
             target = damaged.with_suffix(files[kind].suffix)
             if kind == "dataset":
@@ -321,6 +318,13 @@ def fuzz(flips: int, mutations: int, seed: int) -> dict[str, dict[str, int]]:
             else:
                 target.write_bytes(mutate_bytes(contents[kind], random))
             look(kind, f"mutations of {kind}")
+        for number in range(flips):
+            if time.monotonic() > end:
+                break
+            damaged.with_suffix(".h5").write_bytes(flip(contents["dataset"], random))
+            look("dataset", "bit flips of a dataset")
+            if number % 500 == 499:
+                print(f"{number + 1} flips {dict(table['bit flips of a dataset'])}", flush=True)
     return {row: dict(counts.most_common()) for row, counts in table.items()}
 
 
@@ -331,6 +335,7 @@ def main() -> int:
     parser.add_argument("--flips", type=int, default=10_000)
     parser.add_argument("--mutations", type=int, default=1_000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--limit-s", type=float, default=3600.0)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -338,7 +343,7 @@ def main() -> int:
     if arguments.worker:
         work()
         return 0
-    result = fuzz(arguments.flips, arguments.mutations, arguments.seed)
+    result = fuzz(arguments.flips, arguments.mutations, arguments.seed, arguments.limit_s)
     print(json.dumps(result, indent=1))
     if arguments.json:
         arguments.json.write_text(json.dumps({"seed": arguments.seed, **result}, indent=1) + "\n")
