@@ -1,3 +1,41 @@
-"""mpdt: multi-task offline-RL datasets and prompt-tuned Decision Transformers."""
+"""mpdt: multi-task offline-RL datasets and prompt-tuned Decision Transformers.
+
+    data   = mpdt.open("cheetah_dir.h5")
+    data   = mpdt.collect("cheetah_dir", "cheetah_dir.h5")
+    batch  = mpdt.windows("cheetah_dir.h5:train", window=20, per_task=16).batch(0)
+    policy = mpdt.load_policy("runs/cheetah_dir-base", task="forward")
+
+Names are looked up when first used: `import mpdt` loads neither torch nor a simulator.
+"""
+
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mpdt.data.interface import collect as collect
+    from mpdt.data.interface import open as open
+    from mpdt.data.interface import windows as windows
+    from mpdt.train.acting import load_policy as load_policy
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "open": "mpdt.data.interface",
+    "collect": "mpdt.data.interface",
+    "windows": "mpdt.data.interface",
+    "load_policy": "mpdt.train.acting",
+}
+
+if "gymnasium" in sys.modules:
+    import_module("mpdt.envs")  # `import gymnasium, mpdt` is enough for gymnasium.make
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'mpdt' has no attribute '{name}'")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

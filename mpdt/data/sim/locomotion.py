@@ -79,9 +79,12 @@ class LocomotionBatch:
 
     def reset_row(self, row: int, seed: int, goal: float) -> None:
         """Start a new episode in one row, leaving the others where they are."""
+        self.start_row(row, seeding.np_random(seed)[0], goal)
+
+    def start_row(self, row: int, generator: np.random.Generator, goal: float) -> None:
+        """`reset_row` with noise from a generator that may have been drawn from before."""
         self._goals[row] = goal
         nq, nv = self._model.nq, self._model.nv
-        generator, _ = seeding.np_random(seed)
         noise = generator.uniform(-RESET_NOISE, RESET_NOISE, nq)
         self._state[row, 0] = 0.0
         self._state[row, self._qpos] = self._model.qpos0 + noise

@@ -1,0 +1,89 @@
+"""What a program needs of the data layer: `mpdt.open`, `mpdt.collect`, `mpdt.windows`."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from mpdt.data import build
+from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
+from mpdt.data.spec.catalog import load_catalog
+from mpdt.data.spec.entry import DatasetSpec, smoke
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.reader import open_dataset, parse_ref
+
+_SETTINGS = SamplerSettings()
+
+
+def open(path: Path | str, preload: bool = False) -> Dataset:
+    """Open a finished file; see `Dataset`.
+
+    Args:
+        preload: copy the step arrays to RAM instead of mapping them.
+    Raises: MissingFileError, FormatError, StorageError.
+    """
+    return open_dataset(path, preload)
+
+
+def collect(
+    spec: DatasetSpec | str,
+    target: Path | str | None = None,
+    *,
+    tasks: Sequence[str | int] = (),
+    workers: int | None = None,
+    restart: bool = False,
+    tiny: bool = False,
+) -> Dataset:
+    """Make a dataset, or go on with an interrupted collection of it; `mpdt-data collect`.
+
+    Args:
+        spec: an entry, or the name of one in ./datasets.yaml or else the shipped one.
+        target: the file; None = NAME.h5 in the working folder.
+        tasks: only these, by name or index.
+        workers: processes; None = one per core, which needs `if __name__ == "__main__":` in a
+            script; 0 = in this process.
+        restart: begin anew and replace what is there.
+        tiny: the smoke version: the same tasks with a few episodes each, as NAME-smoke.
+    Remarks come as UserWarning. Raises: as `build.collect`.
+    """
+    if isinstance(spec, str):
+        spec = load_catalog().get(spec)
+    if tasks:
+        spec = msgspec.structs.replace(spec, tasks=tuple(tasks))
+    if tiny:
+        spec = smoke(spec)
+    path = Path(f"{spec.name}.h5" if target is None else target)
+    done = build.collect(spec, path, workers=workers, restart=restart)
+    for remark in done.warnings:
+        warnings.warn(remark, UserWarning, stacklevel=2)
+    return done.dataset
+
+
+def windows(
+    data: Dataset | Path | str,
+    *,
+    window: int = _SETTINGS.window,
+    per_task: int = _SETTINGS.per_task,
+    seed: int = 0,
+    tasks: Sequence[str | int] = (),
+    quality: str | Sequence[str] | None = None,
+) -> WindowSampler:
+    """Batches of windows as a function of (seed, step): `windows(...).batch(step)`.
+
+    Args:
+        data: an open dataset, FILE or FILE:slice.
+        window, per_task: K and M of the batch's shapes (n tasks, M, K, ...).
+        tasks: names or rows; none = the training tasks.
+        quality: random, medium, expert, history, or several; None = all.
+    Raises: UsageError for unknown names; DataError if a task has no such episode; as `open`.
+    """
+    name: str | None = None
+    if not isinstance(data, Dataset):
+        path, name = parse_ref(str(data))
+        data = open_dataset(path)
+    rows = [data.task_row(task) for task in tasks] or data.tasks.train_rows
+    ids = {row: data.select(task=row, quality=quality, slice=name) for row in rows}
+    return WindowSampler(data, ids, rows, window, per_task, seed)

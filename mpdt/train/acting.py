@@ -1,0 +1,145 @@
+"""A trained policy in a plain gymnasium loop.
+
+    policy = mpdt.load_policy("runs/cheetah_dir-base", task="forward")
+    observation, reward, over = env.reset(seed=0)[0], None, False
+    while not over:
+        observation, reward, terminated, truncated, _ = env.step(policy.act(observation, reward))
+        over = terminated or truncated
+
+The same numbers as `evaluate` with one row. Nothing is written into the run's folder.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from mpdt.data.spec.tasks import Family
+from mpdt.data.store.reader import parse_ref
+from mpdt.errors import MissingFileError, unknown_name
+from mpdt.model.backbone import from_settings
+from mpdt.model.prompts import Start
+from mpdt.model.weights import load_weights
+from mpdt.train.evaluate import Controller
+from mpdt.train.folder import RunFolder, stored_settings
+from mpdt.train.identity import identify
+from mpdt.train.material import load_material
+from mpdt.train.multitask import make_optimizer
+from mpdt.train.progress import Progress
+from mpdt.train.run import Trained, Trainer
+from mpdt.train.show import read_results
+from mpdt.train.state import StopRequest, Subject
+from mpdt.train.unseen import UnseenTasks
+
+
+class ActingPolicy:
+    """One task's policy, one episode at a time.
+
+    Args:
+        controller: of a single row.
+        slot: the task's number among those the controller knows.
+    """
+
+    def __init__(self, controller: Controller, family: Family, slot: int) -> None:
+        self.family = family
+        self._controller, self._slot = controller, slot
+
+    def act(self, observation: ArrayLike, reward: float | None = None) -> NDArray[np.float32]:
+        """The action (A,) for an observation (D,) of the task's environment.
+
+        Args:
+            reward: what the action before was paid. None begins a new episode: the policy
+                forgets what it has seen.
+        """
+        if reward is None:
+            self._controller.begin(np.array([self._slot]), [])
+        else:
+            self._controller.paid(np.array([reward], np.float32))
+        shown = np.array([observation], np.float32)
+        shown[:, list(self.family.hidden_columns)] = 0  # as in the data
+        wished = self._controller.act(shown)[0]
+        action: NDArray[np.float32] = wished.clip(self.family.action_low, self.family.action_high)
+        return action
+
+
+def load_policy(
+    run: Path | str, task: str | int, *, data: Path | str | None = None, start: Start | None = None
+) -> ActingPolicy:
+    """The policy of a run for one task of its data.
+
+    Args:
+        run: the run's folder, such as runs/cheetah_dir-base.
+        task: name or row. One that was trained on acts behind its own prompt.
+        data: FILE or FILE:slice it was trained on; None = the file of that name in the working
+            folder or beside the folder of runs.
+        start: adapt to `task`, a test task, from there; "none" = P_c and the mean of all P_k.
+            None = the own prompt, or "none" for a task that was not trained on.
+    Raises: MissingFileError; UsageError for a task without prompt; TrainingError or FormatError
+        for weights of other data or settings; as `open_dataset`.
+    """
+    folder = RunFolder(Path(run))
+    config = stored_settings(folder.path)
+    material = load_material(_data_of(folder, data), config.quality)
+    row = material.dataset.task_row(task)
+    own = row in material.train_rows and start is None
+    start = start or "none"
+    if not own and row not in material.test_rows:
+        names = [material.dataset.tasks.names[known] for known in material.test_rows]
+        raise unknown_name("test task", material.dataset.tasks.names[row], names, str(folder.path))
+    identity = identify(config, material).hashes["training"]
+    # Judging settings are not part of what the weights are bound to.
+    config = msgspec.structs.replace(
+        config,
+        adapt=msgspec.structs.replace(config.adapt, starts=(start,)),
+        few_shot=msgspec.structs.replace(config.few_shot, qualities=(), demonstration=False),
+    )
+    with tempfile.TemporaryDirectory() as scratch:  # adaptation keeps a log
+        trainer = Trainer(
+            material, config, from_settings(config.backbone), RunFolder(Path(scratch)),
+            Progress(quiet=True), StopRequest(), run_hash=identity,
+        )  # fmt: skip
+        trained = _load(trainer, folder.weights)
+        unseen = UnseenTasks(trainer, trained)
+        if own:
+            slot = material.train_rows.index(row)
+            with torch.no_grad():
+                prompts = trained.prompts.task_prompts()
+            controller: Controller = unseen.controller(prompts, trained.returns)
+        else:
+            slot = material.test_rows.index(row)
+            controller = next(unseen.candidates()).controller
+    return ActingPolicy(controller, material.family, slot)
+
+
+def _load(trainer: Trainer, weights: Path) -> Trained:
+    """What training left on the disk; trains nothing, touches no log."""
+    trainer.prepare()
+    optimizer = make_optimizer(trainer.policy, trainer.prompts, trainer.config.optimiser)
+    hashes = {"run": trainer.run_hash, "backbone": trainer.backbone.fingerprint}
+    _, tensors = load_weights(weights, kind="mpdt", hashes=hashes)
+    Subject(trainer.policy, trainer.prompts, optimizer).load(tensors)
+    return Trained(trainer.policy, trainer.prompts, trainer.returns, trainer.asked, trainer.asked)
+
+
+def _data_of(folder: RunFolder, data: Path | str | None) -> str:
+    """FILE or FILE:slice. Raises: MissingFileError where nobody says which file."""
+    name: str | None = None
+    if data is not None:
+        path, name = parse_ref(str(data))
+    else:
+        file = str(read_results(folder.path)["data"]["file"])
+        places = (Path(), folder.path.parent, folder.path.parent.parent)
+        found = [place / file for place in places if (place / file).is_file()]
+        if not found:
+            raise MissingFileError("the file of this run is not here", where=file,
+                                   hint="say where: load_policy(..., data=FILE)")  # fmt: skip
+        path = found[0]
+    stored = json.loads(folder.config.read_text(encoding="utf-8"))["training"]["data"]
+    name = name or stored["slice"]
+    return f"{path}:{name}" if name else str(path)
