@@ -1,0 +1,32 @@
+"""Small versions of `make trust`: a few kills and a little damage, with the scripts themselves."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+
+
+def run(script: str, target: Path, *options: str) -> Any:
+    command = [sys.executable, str(ROOT / "benchmarks" / script), "--json", str(target), *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    return json.loads(target.read_text())
+
+
+def test_three_kills(tmp_path: Path) -> None:
+    found = run("torture.py", tmp_path / "x.json", "--kills", "3", "--seed", "2")
+    assert found["kills"] == 3
+    assert found["finished files compared"] >= 1
+
+
+def test_a_little_damage(tmp_path: Path) -> None:
+    found = run("fuzz.py", tmp_path / "x.json", "--flips", "10", "--mutations", "35")
+    counts = [sum(row.values()) for name, row in found.items() if name != "seed"]
+    assert sum(counts) == 45
+    assert len(counts) == 6, "flips, and files of five kinds"
+    assert "found" in found["mutations of weights"]
