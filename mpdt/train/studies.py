@@ -3,7 +3,7 @@
     first-pass    every method on every family; three seeds for the main ones
     ablations     one thing changed at a time, cheetah_vel
 
-Settings are chosen on training tasks (docs/decisions/0011), never on test returns.
+Sizes were chosen by cost, not by returns (docs/decisions/0011).
 """
 
 from __future__ import annotations
