@@ -10,6 +10,7 @@ from mpdt.data.spec.catalog import Catalog
 from mpdt.data.spec.claim import Claim, changed_keys
 from mpdt.data.spec.entry import DatasetSpec, smoke
 from mpdt.data.spec.lock import LockEntry, read_lock
+from mpdt.data.store.fingerprint import is_as_locked
 from mpdt.data.store.reader import open_dataset
 from mpdt.errors import MpdtError
 
@@ -83,8 +84,7 @@ def _file_state(name: str, entry: LockEntry, path: Path) -> tuple[str, str]:
         return "cut-out", ""
     if changes := changed_keys(entry.spec, dict(data.spec)):
         return "other spec", f"{path}: made from another spec ({'; '.join(changes)})"
-    tta = {name: found.content_hash for name, found in data.tta.items()}
-    if (data.content_hash, tta) != (entry.hashes.content, entry.hashes.tta):
+    if not is_as_locked(data, entry):
         hashes = f"content {data.content_hash[:8]}, locked {entry.hashes.content[:8]}"
         return "other episodes", f"{path}: other episodes than locked ({hashes})"
     return "same", ""

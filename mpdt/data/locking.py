@@ -27,7 +27,7 @@ from mpdt.data.spec.entry import DatasetSpec, canonical_json, spec_hash
 from mpdt.data.spec.lock import LockEntry, decisive_packages, lock_bytes, read_lock
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
-from mpdt.data.store.fingerprint import fingerprint, lost_runs, other_versions
+from mpdt.data.store.fingerprint import fingerprint, is_as_locked, lost_runs, other_versions
 from mpdt.errors import DataError, SimulatorError
 
 MACHINE = ("arch", "cpu", "blas")
@@ -76,9 +76,7 @@ def check_claim(claim: Claim, entry: LockEntry, dataset: Dataset) -> None:
     Raises: DataError naming the runs that are not what they were.
     """
     lost = lost_runs(dataset, entry)
-    same = dataset.content_hash == entry.hashes.content and entry.hashes.tta == {
-        name: tta.content_hash for name, tta in dataset.tta.items()
-    }
+    same = is_as_locked(dataset, entry)
     if claim is Claim.MAJOR or (claim is Claim.MINOR and not lost) or same:
         return
     promise = "the same data" if claim is Claim.PATCH else "every old episode as it was"
@@ -207,8 +205,7 @@ class LockKeeper:
 
 def _difference(entry: LockEntry, dataset: Dataset) -> str:
     """How the data differs from its entry, or nothing."""
-    found = {name: tta.content_hash for name, tta in dataset.tta.items()}
-    if (dataset.content_hash, found) == (entry.hashes.content, entry.hashes.tta):
+    if is_as_locked(dataset, entry):
         return ""
     return f"other episodes in {_some(lost_runs(dataset, entry)) or 'added runs'}"
 

@@ -150,3 +150,22 @@ def test_other_packages_are_mentioned(tiny_file: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(tta.provenance, "packages", lambda: real | {"mujoco": "9.9.9"})
     done = add_set(tiny_file, "x", WIDE, workers=0)
     assert [w.split(",")[0] for w in done.warnings] == ["made with mujoco 9.9.9"]
+
+
+def test_the_lock_does_not_mind_a_set_beside_its_own(
+    tiny_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Unless it is one of its own that was replaced."""
+    assert main(["collect", "tiny", "--workers", "0", "-q"]) == 0  # adds the lock
+    locked = Path("datasets.lock").read_bytes()
+    words = ["tta", "tiny.h5", "--workers", "0", "-q", "--episodes", "3"]
+    assert main([*words, "--name", "more"]) == 0
+    assert main(["collect", "tiny", "--locked", "--workers", "0", "-q"]) == 0
+    assert main(["verify", "tiny.h5", "--locked", "--only", "hash,tta", "-q"]) == 0
+    assert main(["lock", "--check", "-q"]) == 0
+    assert main(["collect", "tiny", "--update-lock", "--workers", "0", "-q"]) == 0
+    assert b"more" not in Path("datasets.lock").read_bytes()
+    Path("datasets.lock").write_bytes(locked)
+    assert main([*words, "--overwrite"]) == 0
+    assert main(["lock", "--check", "-q"]) == 1
+    assert main(["verify", "tiny.h5", "--locked", "--only", "hash", "-q"]) == 1

@@ -17,14 +17,18 @@ _QUALITIES = {code: name for name, code in QUALITY_CODES.items()} | {-1: "unknow
 
 
 def fingerprint(dataset: Dataset) -> LockEntry:
-    """The lock's entry of a finished file; reads the whole file once, for `hashes.file`."""
+    """The lock's entry of a finished file; reads the whole file once, for `hashes.file`.
+
+    Sets that were added to the file, and that no collection would make, are not part of it.
+    """
+    added = {f"tta-{name}" for name in dataset.tta} - {f"tta-{n}" for n in _planned_sets(dataset)}
     return LockEntry(
         version=dataset.version,
         hashes=Hashes(
             spec=dataset.spec_hash,
             content=dataset.content_hash,
             file=file_hash(dataset.path),
-            tta={name: tta.content_hash for name, tta in dataset.tta.items()},
+            tta=_planned_sets(dataset),
         ),
         size=Size(
             bytes=dataset.path.stat().st_size,
@@ -33,7 +37,7 @@ def fingerprint(dataset: Dataset) -> LockEntry:
         ),
         spec=dict(dataset.spec),
         runs={
-            task: {run: run_text(digests) for run, digests in runs.items()}
+            task: {run: run_text(digests) for run, digests in runs.items() if run not in added}
             for task, runs in digests_by_run(dataset).items()
         },
         policies=acting_policies(dataset),
@@ -41,6 +45,18 @@ def fingerprint(dataset: Dataset) -> LockEntry:
         packages=dict(dataset.packages),
         platform=dict(dataset.platform),
     )
+
+
+def is_as_locked(dataset: Dataset, entry: LockEntry) -> bool:
+    """Whether episodes and TTA sets are those of the entry; sets added later do not count."""
+    found = (dataset.content_hash, _planned_sets(dataset))
+    return found == (entry.hashes.content, entry.hashes.tta)
+
+
+def _planned_sets(dataset: Dataset) -> dict[str, str]:
+    """Content hashes of the TTA sets that the file's spec asks for."""
+    planned = dataset.spec.get("tta") or {}
+    return {name: tta.content_hash for name, tta in dataset.tta.items() if name in planned}
 
 
 def file_hash(path: Path) -> str:

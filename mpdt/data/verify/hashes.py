@@ -11,7 +11,7 @@ from mpdt.data.spec.entry import canonical_json
 from mpdt.data.spec.lock import LockEntry
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.digests import Labels, array_digests
-from mpdt.data.store.fingerprint import lost_runs
+from mpdt.data.store.fingerprint import is_as_locked, lost_runs
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.seal import seal_holds
 from mpdt.data.store.tables import TtaSet
@@ -93,8 +93,7 @@ def _lock_faults(material: Material, path: str, entry: LockEntry | None) -> tupl
             return [], f", cut out of what {path} holds"
         return [Fault(f"cut out of {data.parent[:8]}, but {path} holds "
                       f"{entry.hashes.content[:8]}")], ""  # fmt: skip
-    tta = {name: found.content_hash for name, found in data.tta.items()}
-    if (data.content_hash, tta) == (entry.hashes.content, entry.hashes.tta):
+    if is_as_locked(data, entry):
         return [], f" = {path}"
     runs = lost_runs(data, entry)
     where = f" in {', '.join(runs[:3])}" if runs else ""
