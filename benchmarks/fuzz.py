@@ -34,7 +34,7 @@ import h5py
 import numpy as np
 from damage import flip, mutate_bytes, mutate_hdf5, mutate_text
 
-HANG_S = 20.0
+HANG_S = 60.0
 
 
 # ---- the worker: looks at one damaged file after another -------------------------------------
