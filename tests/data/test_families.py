@@ -103,8 +103,6 @@ def check_goals(path: Path, goals: GoalSet) -> None:
         assert by_quality[0][0] == by_quality[1][0]
         assert len(set(by_quality[1])) == 2
         tta = data.tta["default"]
-        held_out = {
-            tuple(data.goals.of(int(g))) for g in tta.goal[tta.task == row]
-        }
+        held_out = {tuple(data.goals.of(int(g))) for g in tta.goal[tta.task == row]}
         assert len(held_out) == min(2, goals.held_out)
         assert not held_out & set(by_quality[1])
