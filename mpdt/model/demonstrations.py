@@ -102,7 +102,8 @@ class HyperPrompts(DemonstrationPrompts):
             torch.manual_seed(seed)
             last = nn.Linear(width, 2 * rank * width)
             self.net = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), last)
-            self.layers = nn.Parameter(torch.randn(num_layers, width))
+        generator = torch.Generator().manual_seed(seed)
+        self.layers = nn.Parameter(torch.randn((num_layers, width), generator=generator))
         with torch.no_grad():
             last.weight[rank * width :] = 0
             last.bias[rank * width :] = 0

@@ -42,8 +42,9 @@ def save_weights(path: Path, tensors: Mapping[str, Tensor], header: WeightsHeade
     partial = path.with_name(f"{path.name}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        head = {"mpdt": msgspec.json.encode(header).decode(), "sha256": _digest(own)}
-        data = save(own, metadata=head)
+        # One key: safetensors writes several in any order, and the bytes would differ.
+        text = f"{_digest(own)}\n{msgspec.json.encode(header).decode()}"
+        data = save(own, metadata={"mpdt": text})
         with partial.open("wb") as stream:
             stream.write(data)
             stream.flush()
@@ -73,14 +74,15 @@ def load_weights(
         )
     try:
         with safe_open(path, framework="pt") as stored:
-            head = stored.metadata() or {}
+            text = (stored.metadata() or {}).get("mpdt")
             tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as error:
         raise FormatError(
             "not a whole safetensors file", where=str(path), found=str(error)
         ) from error
-    header = _read_header(path, head.get("mpdt"))
-    if head.get("sha256", "") != _digest(tensors):
+    digest, _, text = (text or "").rpartition("\n")
+    header = _read_header(path, text or None)
+    if digest != _digest(tensors):
         raise FormatError(
             "the numbers are not those that were written",
             where=str(path),
