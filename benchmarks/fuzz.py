@@ -8,8 +8,7 @@ mutations   structure: arrays and attributes of a dataset file, datasets.yaml, d
             weights of a trained policy, Prompt-DT pickles
 
     found      a FAIL of verify, or one MpdtError        unchanged   what can be read is the same
-    accepted   a text that says something else, and may  crash, hang libhdf5 itself; `verify` looks
-                                                         in a process of its own and says so
+    accepted   a text that says something else, and may  crash, hang libhdf5 itself ended the process
     MISSED, TRACEBACK                                    must be zero: exit code 1 if not
 """
 
@@ -27,6 +26,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,11 @@ HANG_S = 60.0
 
 
 # ---- the worker: looks at one damaged file after another -------------------------------------
+
+
+@cache
+def whole(original: Path) -> dict[str, str]:
+    return logical(original)
 
 
 def logical(path: Path) -> dict[str, str]:
@@ -65,7 +70,7 @@ def look_at_dataset(path: Path, original: Path) -> str:
     report = verify(path, skip=["replay"])
     if report.count(Outcome.FAIL):
         return "found by " + next(f.id for f in report.findings if f.outcome is Outcome.FAIL)
-    before, after = logical(original), logical(path)
+    before, after = whole(original), logical(path)
     changed = [name for name in before if before[name] != after.get(name)]
     changed += [name for name in after if name not in before]
     return "unchanged" if not changed else f"MISSED {changed[0]}"
