@@ -8,7 +8,7 @@ mutations   structure: arrays and attributes of a dataset file, datasets.yaml, d
             weights of a trained policy, Prompt-DT pickles
 
     found      a FAIL of verify, or one MpdtError        unchanged   what can be read is the same
-    accepted   a text that says something else, and may  crash, hang libhdf5 itself ended the process
+    accepted   a text that says something else, and may  crash, hang  libhdf5 ended the process
     MISSED, TRACEBACK                                    must be zero: exit code 1 if not
 """
 
