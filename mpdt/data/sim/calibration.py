@@ -6,7 +6,6 @@ LOCAL_FILE of the working folder; a rate that is there wins over the shipped one
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from importlib import resources
@@ -15,9 +14,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mpdt.data.replacement import check_replaceable, disk, replacing
-from mpdt.data.spec.entry import canonical_json
-from mpdt.errors import DataError, StorageError
+from mpdt.data.replacement import check_replaceable
+from mpdt.data.sim.book import read_book, write_book
 
 FORMAT = "mpdt-calibration/1"
 LOCAL_FILE = "metaworld.calibration.json"
@@ -71,12 +69,6 @@ class Calibration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return float(np.interp(rate, list(levels), list(levels.values())))
 
 
-class _Book(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    format: str
-    rule: str
-    entries: tuple[Calibration, ...]
-
-
 def load_calibrations(folder: Path | None = None) -> dict[Place, Calibration]:
     """Calibrations by (task, horizon): those of `folder`/LOCAL_FILE, then the shipped ones.
 
@@ -103,18 +95,8 @@ def local_path(folder: Path | None = None) -> Path:
 
 def read_calibrations(path: Path) -> dict[Place, Calibration]:
     """The calibrations of one file. Raises: as `load_calibrations`."""
-    try:
-        book = msgspec.json.decode(path.read_bytes(), type=_Book)
-    except OSError as error:
-        raise StorageError("cannot be read", where=str(path), found=str(error)) from error
-    except msgspec.DecodeError as error:
-        raise DataError("not a calibration file", where=str(path), found=str(error),
-                        hint="delete it, or choose another file with -o") from error  # fmt: skip
-    if book.format != FORMAT:
-        raise DataError(
-            "another calibration format", where=str(path), expected=FORMAT, found=book.format
-        )
-    return {(entry.task, entry.horizon): entry for entry in book.entries}
+    entries = read_book(path, Calibration, FORMAT, "calibration file")
+    return {(entry.task, entry.horizon): entry for entry in entries}
 
 
 def check_target(path: Path) -> None:
@@ -137,10 +119,7 @@ def save_calibrations(path: Path, entries: Sequence[Calibration], rule: str) -> 
     """
     merged = read_calibrations(path) if path.exists() else {}
     merged |= {(entry.task, entry.horizon): entry for entry in entries}
-    lines = ",\n".join(canonical_json(merged[key]).decode() for key in sorted(merged))
-    head = f'{{"format":{json.dumps(FORMAT)},\n"rule":{json.dumps(rule)},\n"entries":[\n'
-    with replacing(path) as temporary, disk(path):
-        temporary.write_text(f"{head}{lines}\n]}}\n")
+    write_book(path, (merged[key] for key in sorted(merged)), FORMAT, rule)
 
 
 def table(entries: Sequence[Calibration]) -> str:

@@ -13,7 +13,6 @@ or the script. With others, `collect` measures by itself (`spec.reference` episo
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Iterable, Mapping
@@ -24,11 +23,11 @@ from pathlib import Path
 import msgspec
 
 from mpdt.data.reference import Reference, Source
-from mpdt.data.replacement import check_replaceable, disk, replacing
+from mpdt.data.replacement import check_replaceable
+from mpdt.data.sim.book import read_book, write_book
 from mpdt.data.sim.ladder import Ladder
 from mpdt.data.spec.entry import DatasetSpec, canonical_json
 from mpdt.data.spec.tasks import Family, Task, get_family
-from mpdt.errors import DataError, StorageError
 
 FORMAT = "mpdt-references/1"
 LOCAL_FILE = "references.json"
@@ -88,12 +87,6 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     @property
     def place(self) -> Place:
         return (self.scene, self.horizon, canonical_json(self.env).decode())
-
-
-class _Book(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    format: str
-    rule: str
-    entries: tuple[Entry, ...]
 
 
 @dataclass(frozen=True)
@@ -193,17 +186,8 @@ def load_entries(path: Path) -> dict[Place, Entry]:
     """
     if not os.path.lexists(path):
         return {}
-    try:
-        book = msgspec.json.decode(path.read_bytes(), type=_Book)
-    except OSError as error:
-        raise StorageError("cannot be read", where=str(path), found=str(error)) from error
-    except msgspec.DecodeError as error:
-        raise DataError("not a record of references", where=str(path), found=str(error),
-                        hint="delete it, or choose another file with -o") from error  # fmt: skip
-    if book.format != FORMAT:
-        raise DataError("another format of references", where=str(path), expected=FORMAT,
-                        found=book.format)  # fmt: skip
-    return {entry.place: entry for entry in book.entries}
+    entries = read_book(path, Entry, FORMAT, "record of references")
+    return {entry.place: entry for entry in entries}
 
 
 def check_target(path: Path) -> None:
@@ -221,7 +205,4 @@ def save_entries(path: Path, entries: Iterable[Entry], rule: str) -> None:
     Raises: StorageError where the disk refuses.
     """
     ordered = sorted(entries, key=lambda entry: entry.place)
-    lines = ",\n".join(canonical_json(entry).decode() for entry in ordered)
-    head = f'{{"format":{json.dumps(FORMAT)},\n"rule":{json.dumps(rule)},\n"entries":[\n'
-    with replacing(path) as temporary, disk(path):
-        temporary.write_text(f"{head}{lines}\n]}}\n")
+    write_book(path, ordered, FORMAT, rule)

@@ -1,0 +1,58 @@
+"""Book: measured data with its evidence, as a JSON file of one line per entry.
+
+Two are shipped under `weights/`: mixing rates (`calibration.py`) and references
+(`references.py`). The format is refused if it is another, and so is any unknown field.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import msgspec
+
+from mpdt.data.replacement import disk, replacing
+from mpdt.data.spec.entry import canonical_json
+from mpdt.errors import DataError, StorageError
+
+Entry = TypeVar("Entry")
+
+
+class _Book(msgspec.Struct, Generic[Entry], frozen=True, forbid_unknown_fields=True):
+    format: str
+    rule: str
+    entries: tuple[Entry, ...]
+
+
+def read_book(path: Path, kind: type[Entry], format: str, what: str) -> tuple[Entry, ...]:
+    """Entries of a file, in its order.
+
+    Args:
+        what: the file is one of, for the message.
+
+    Raises: DataError for anything else than such a file; StorageError.
+    """
+    try:
+        book = msgspec.json.decode(path.read_bytes(), type=_Book[kind])  # type: ignore[valid-type]
+    except OSError as error:
+        raise StorageError("cannot be read", where=str(path), found=str(error)) from error
+    except msgspec.DecodeError as error:
+        raise DataError(f"not a {what}", where=str(path), found=str(error),
+                        hint="delete it, or choose another file with -o") from error  # fmt: skip
+    if book.format != format:
+        raise DataError(f"another format of {what}", where=str(path), expected=format,
+                        found=book.format)  # fmt: skip
+    return book.entries
+
+
+def write_book(path: Path, entries: Iterable[object], format: str, rule: str) -> None:
+    """Write entries, one per line; `rule` tells readers how they were found. Atomic.
+
+    Raises: StorageError where the disk refuses.
+    """
+    lines = ",\n".join(canonical_json(entry).decode() for entry in entries)
+    head = f'{{"format":{json.dumps(format)},\n"rule":{json.dumps(rule)},\n"entries":[\n'
+    with replacing(path) as temporary, disk(path):
+        temporary.write_text(f"{head}{lines}\n]}}\n")
