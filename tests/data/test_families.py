@@ -38,7 +38,7 @@ def test_shipped_networks_put_random_below_medium_below_expert(name: str) -> Non
         assert record["random"][task.name] < medium < final, task.name
 
 
-@pytest.mark.parametrize("name", [*METAWORLD, "ml10_h200", "mt10_h200"])
+@pytest.mark.parametrize("name", [*METAWORLD, *(f"{name}_h200" for name in METAWORLD)])
 def test_shipped_calibrations_put_random_below_medium_below_expert(name: str) -> None:
     shipped, spec = load_calibrations(Path("/nowhere")), CATALOG.get(name)
     for task in spec.resolve_tasks():

@@ -12,15 +12,12 @@ and byte identity of a dataset is promised from the weights on.
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from safetensors.numpy import load_file, save
 
 from mpdt.data.replacement import check_replaceable, disk, replacing
@@ -28,7 +25,7 @@ from mpdt.data.sim.rungs import describe_rungs
 from mpdt.data.spec.tasks import Family, get_family
 from mpdt.errors import SimulatorError, UsageError, unknown_name
 
-Weights = dict[str, NDArray[np.float32]]
+Curve = list[dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -140,14 +137,13 @@ def pretrain(
     arrays = {
         f"rung-{i:02d}/{key}": value for i, rung in enumerate(rungs) for key, value in rung.items()
     }
-    _write(target, save(arrays))
-    _write(record_path, (json.dumps(record, indent=1, sort_keys=True) + "\n").encode())
+    for path, content in (
+        (target, save(arrays)),
+        (record_path, (json.dumps(record, indent=1, sort_keys=True) + "\n").encode()),
+    ):
+        with replacing(path) as temporary, disk(path):
+            temporary.write_bytes(content)
     return target
-
-
-def _write(path: Path, content: bytes) -> None:
-    with replacing(path) as temporary, disk(path):
-        temporary.write_bytes(content)
 
 
 def _train(
@@ -157,102 +153,55 @@ def _train(
     seed: int,
     work: Path,
     say: Callable[[str], None],
-) -> list[dict[str, float]]:
+) -> Curve:
     try:
         import torch
         from stable_baselines3 import PPO
-        from stable_baselines3.common.callbacks import BaseCallback
         from stable_baselines3.common.vec_env import VecNormalize
+
+        from mpdt.data.sim.snapshots import Snapshots
+        from mpdt.data.sim.vecenv import LocomotionVecEnv
     except ImportError as error:
         raise SimulatorError(
             "training a behaviour network needs stable-baselines3",
             hint="pip install 'mpdt[behaviour]'",
         ) from error
-    from mpdt.data.sim.vecenv import LocomotionVecEnv
 
     torch.set_num_threads(1)  # small matrix products collapse on more, most of all when busy
-    every = max(1, total // settings.snapshots)
-    curve_path = work / "curve.json"
-    checkpoint, normalizer = work / "checkpoint.zip", work / "normalize.pkl"
-
-    class Snapshots(BaseCallback):  # type: ignore[misc]  # untyped base
-        def __init__(self, curve: list[dict[str, float]]) -> None:
-            super().__init__()
-            self.curve = curve
-            self.next_snapshot = (curve[-1]["step"] + every) if curve else 0
-            self.since = time.monotonic()
-            self.earlier_s = curve[-1]["wall_s"] if curve else 0.0  # of stopped sessions
-
-        def _on_rollout_start(self) -> None:
-            step = int(self.num_timesteps)
-            returns = [info["r"] for info in self.model.ep_info_buffer]
-            mean = float(np.mean(returns)) if returns else float("nan")
-            rate = step / max(1e-9, time.monotonic() - self.since)
-            say(f"step {step}/{total}  mean return {mean:.1f}  {rate:.0f} steps/s")
-            if step >= self.next_snapshot:
-                self.snapshot(step, mean)
-
-        def snapshot(self, step: int, mean: float) -> None:
-            _write(work / f"{step:012d}.safetensors", save(_export(self.model)))
-            wall_s = round(self.earlier_s + time.monotonic() - self.since, 1)
-            point = {"step": step, "mean_return": round(mean, 2), "wall_s": wall_s}
-            self.curve.append(point)
-            _write(curve_path, json.dumps(self.curve).replace("NaN", "null").encode())
-            with replacing(checkpoint) as temporary, disk(checkpoint):
-                self.model.save(temporary)
-            with replacing(normalizer) as temporary, disk(normalizer):
-                self.model.get_env().save(str(temporary))
-            self.next_snapshot = step + every
-
-        def _on_step(self) -> bool:
-            return True
-
-    curve: list[dict[str, float]] = []
-    if checkpoint.is_file() and curve_path.is_file():
-        curve = json.loads(curve_path.read_text())
-        # Other episodes than before the stop: the resumed run is a valid, not an equal one.
-        rows = LocomotionVecEnv(family, settings.rows, seed + len(curve), settings.threads)
-        env = VecNormalize.load(str(normalizer), rows)
+    checkpoint, curve_path = work / "checkpoint.zip", work / "curve.json"
+    resumes = checkpoint.is_file() and curve_path.is_file()
+    curve: Curve = json.loads(curve_path.read_text()) if resumes else []
+    # Other episodes than before a stop: the resumed run is a valid, not an equal one.
+    rows = LocomotionVecEnv(family, settings.rows, seed + len(curve), settings.threads)
+    if resumes:
+        env = VecNormalize.load(str(work / "normalize.pkl"), rows)
         model = PPO.load(checkpoint, env=env, device="cpu")
         say(f"resuming at step {model.num_timesteps}")
     else:
-        rows = LocomotionVecEnv(family, settings.rows, seed, settings.threads)
         env = VecNormalize(rows, norm_obs=True, norm_reward=True, gamma=settings.discount)
-        model = PPO(
-            "MlpPolicy",
-            env,
-            learning_rate=lambda remaining: settings.learning_rate * max(remaining, 0.05),
-            n_steps=settings.steps_per_update,
-            batch_size=settings.minibatch,
-            n_epochs=settings.epochs,
-            gamma=settings.discount,
-            gae_lambda=settings.gae_lambda,
-            ent_coef=settings.entropy,
-            target_kl=settings.max_kl,
-            policy_kwargs={
-                "net_arch": [settings.hidden, settings.hidden],
-                "log_std_init": settings.log_std_init,
-            },
-            stats_window_size=settings.rows,
-            seed=seed,
-            device="cpu",
-        )
-    callback = Snapshots(curve)
+        model = PPO("MlpPolicy", env, seed=seed, device="cpu", **_ppo(settings))
+    snapshots = Snapshots(work, curve, total, max(1, total // settings.snapshots), say)
     remaining = total - int(model.num_timesteps)
     if remaining > 0:
-        model.learn(remaining, callback=callback, reset_num_timesteps=False)
-        returns = [info["r"] for info in model.ep_info_buffer]
-        callback.snapshot(int(model.num_timesteps), float(np.mean(returns)))
-    return callback.curve
+        model.learn(remaining, callback=snapshots, reset_num_timesteps=False)
+        snapshots.take(int(model.num_timesteps))
+    return snapshots.curve
 
 
-def _export(model: Any) -> Weights:
-    """The actor as plain arrays: inputs @ w + b, normalised by mean and std first."""
-    state = {key: value.detach().numpy() for key, value in model.policy.state_dict().items()}
-    stats = model.get_env().obs_rms
-    layers = ("mlp_extractor.policy_net.0", "mlp_extractor.policy_net.2", "action_net")
-    weights = {"mean": stats.mean, "std": np.sqrt(stats.var + 1e-8)}
-    for i, layer in enumerate(layers):
-        weights[f"w{i}"] = state[f"{layer}.weight"].T
-        weights[f"b{i}"] = state[f"{layer}.bias"]
-    return {key: np.ascontiguousarray(value, dtype=np.float32) for key, value in weights.items()}
+def _ppo(settings: PretrainSettings) -> dict[str, Any]:
+    """The settings in stable-baselines3's words."""
+    return {
+        "learning_rate": lambda remaining: settings.learning_rate * max(remaining, 0.05),
+        "n_steps": settings.steps_per_update,
+        "batch_size": settings.minibatch,
+        "n_epochs": settings.epochs,
+        "gamma": settings.discount,
+        "gae_lambda": settings.gae_lambda,
+        "ent_coef": settings.entropy,
+        "target_kl": settings.max_kl,
+        "policy_kwargs": {
+            "net_arch": [settings.hidden, settings.hidden],
+            "log_std_init": settings.log_std_init,
+        },
+        "stats_window_size": settings.rows,
+    }

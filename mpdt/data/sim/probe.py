@@ -103,11 +103,11 @@ class Gauge:
         )
 
     def judge(self, rate: float, close: float) -> Measurement:
-        """`measure`, but stops as soon as the level is clearly not within `close` of 0.5."""
+        """`measure`, but stops once the level is two standard errors from within `close` of 0.5."""
         for portions in range(1, self._portions + 1):
             found = self.measure(rate, portions * self._portion)
             off = abs(found.level - 0.5)
-            if found.level_error <= self._error or off > close + found.level_error:
+            if found.level_error <= self._error or off > close + 2 * found.level_error:
                 break
         return found
 
