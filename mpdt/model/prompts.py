@@ -13,6 +13,7 @@ import copy
 from typing import Literal, Protocol
 
 import msgspec
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -109,6 +110,34 @@ class DecomposedPrompts(nn.Module):
     def task_prompts(self, rows: Tensor | None = None, step: int | None = None) -> Tensor:
         """P*_k = P_c o P_k (n, l, s) of the tasks `rows` (n,), or of all."""
         return self.cross * self.task_parts(rows)
+
+
+class MixedPrompts(DecomposedPrompts):
+    """`DecomposedPrompts` whose tasks now and then act with a mixture of other tasks' parts.
+
+        chance `share`:   P_c o sum_j w_kj P_j        else:   P_c o P_k
+
+    Drawn anew for each update and task from (seed, step); without `step` tasks have their own.
+    """
+
+    _weights: Tensor | None = None
+
+    def mix(self, weights: Tensor, share: float, seed: int) -> None:
+        """From now on, with weights (N, N); a row of the unit matrix never mixes."""
+        self._weights, self._share, self._seed = weights, share, seed
+
+    def task_prompts(self, rows: Tensor | None = None, step: int | None = None) -> Tensor:
+        """P*_k (n, l, s) of the tasks `rows` (n,), or of all; mixed if `step` says so."""
+        if self._weights is None or step is None:
+            return super().task_prompts(rows)
+        chosen = torch.arange(len(self._weights)) if rows is None else rows
+        words = np.random.SeedSequence([self._seed, step])
+        draws = np.random.Generator(np.random.PCG64(words)).random(len(chosen))
+        mixed = torch.from_numpy(draws < self._share)
+        weights = torch.where(
+            mixed[:, None], self._weights[chosen], torch.eye(len(self._weights))[chosen]
+        )
+        return self.cross * torch.einsum("nk,kls->nls", weights, self.task_parts())
 
 
 class TeacherPrompts(nn.Module):

@@ -20,6 +20,7 @@ from mpdt.model.tokens import InputSettings
 from mpdt.train.adapt import AdaptSettings
 from mpdt.train.evaluate import EvaluationSettings
 from mpdt.train.labelled import FewShotSettings
+from mpdt.train.mixing import MixingSettings
 from mpdt.train.multitask import MultitaskSettings, OptimiserSettings
 from mpdt.train.statistics import StatisticsSettings
 from mpdt.train.teacher import TeacherSettings
@@ -49,6 +50,7 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     optimiser: OptimiserSettings = OptimiserSettings()
     teacher: TeacherSettings = TeacherSettings()
     multitask: MultitaskSettings = MultitaskSettings()
+    mixing: MixingSettings = MixingSettings()
     statistics: StatisticsSettings = StatisticsSettings()
     adapt: AdaptSettings = AdaptSettings()
     few_shot: FewShotSettings = FewShotSettings()

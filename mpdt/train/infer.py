@@ -29,6 +29,7 @@ from torch import Tensor, nn
 from mpdt.data.slices.windows import WindowSource
 from mpdt.errors import TrainingError
 from mpdt.model.limits import check_above_zero, check_at_least
+from mpdt.train.material import Material
 
 Ids = NDArray[np.int64]
 _CLIP = 10.0  # standard deviations; an unseen task may show what no training task did
@@ -81,6 +82,17 @@ def read_transitions(
     actions = np.clip(source.steps.actions[at], low, high)
     inputs = np.concatenate([now, actions, then - now], axis=1).astype(np.float32)
     return Transitions(inputs, np.asarray(rewards[at], np.float32))
+
+
+def read_training_tasks(material: Material) -> list[Transitions]:
+    """The random episodes of every training task. Raises: DataError if the file holds none."""
+    dataset, ids, family = material.dataset, material.random_ids(), material.family
+    return [
+        read_transitions(
+            dataset, ids[row], dataset.steps.rewards, family.action_low, family.action_high
+        )
+        for row in material.train_rows
+    ]
 
 
 class RewardModel(nn.Module):
@@ -156,10 +168,12 @@ class Explanation:
 
     errors (N,): root mean square of (reward - output), the task's own unit.
     weights (N,): >= 0, sum 1, at most `InferSettings.tasks` of them above 0.
+    unexplained: share of the rewards' variance that the weighted outputs miss.
     """
 
     errors: NDArray[np.float64]
     weights: NDArray[np.float64]
+    unexplained: float
 
     def named(self, names: Sequence[str]) -> Mapping[str, float]:
         """The weights above 0 by the names of their tasks."""
@@ -185,7 +199,8 @@ def explain(
     nearest = order[: min(tasks, len(order) - len(banned))]
     weights = np.zeros(len(errors))
     weights[nearest] = convex_fit(outputs[:, nearest], x.rewards)
-    return Explanation(errors, weights)
+    missed = float(np.square(outputs @ weights - x.rewards).mean())
+    return Explanation(errors, weights, missed / max(float(np.var(x.rewards)), 1e-12))
 
 
 def convex_fit(columns: NDArray[np.float64], target: NDArray[Any]) -> NDArray[np.float64]:

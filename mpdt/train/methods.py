@@ -47,6 +47,8 @@ METHODS: Mapping[str, tuple[Changes, ...]] = {
     "MPDT-WP-frozen": ({"backbone": {"name": "random:smollm2-135m"}},),
     "MPDT+sparse": ({"multitask": {"sparse": 0.2}},),
     "MPDT-no-distillation": (_NO_TEACHER,),
+    # Ours: half of the time a training task acts with the mixture `infer` would find for it.
+    "MPDT-mixed": (_NO_TEACHER, {"mixing": {"share": 0.5}}),
     "Soft-Prompt": (_SHARED, _NO_TEACHER, _UNADAPTED),
     "Soft-Prompt-TTA": (_SHARED, _NO_TEACHER, {"adapt": {"starts": ["cross"]}}),
     "Prompt-DT": (_FROM_SCRATCH, _THREE_TOKENS, _PROMPT_DT, _NO_TEACHER, _UNADAPTED,

@@ -25,20 +25,28 @@ from mpdt.errors import DataError
 from mpdt.model.backbone import Backbone
 from mpdt.model.demonstrations import DemonstrationPrompts, HyperPrompts
 from mpdt.model.policy import PromptPolicy
-from mpdt.model.prompts import DecomposedPrompts, PromptSettings, SharedPrompt, TeacherPrompts
+from mpdt.model.prompts import (
+    DecomposedPrompts,
+    MixedPrompts,
+    PromptSettings,
+    SharedPrompt,
+    TeacherPrompts,
+)
 from mpdt.model.returns import ReturnTable
 from mpdt.model.weights import WeightsHeader, load_weights, save_weights
 from mpdt.train.config import TrainConfig, to_plain
 from mpdt.train.fit_check import check_fits
 from mpdt.train.folder import RunFolder
 from mpdt.train.identity import JUDGING
+from mpdt.train.infer import read_training_tasks
 from mpdt.train.material import Ids, Material, return_table, sample_demonstrations
+from mpdt.train.mixing import held_out_weights
 from mpdt.train.multitask import Prompts, TaskPrompts, as_batch, fit, make_optimizer
 from mpdt.train.progress import Progress
 from mpdt.train.state import Checkpoint, Stopped, StopRequest, Subject
 from mpdt.train.teacher import Teacher
 
-PHASES = ("teacher", "student", "statistics", "adapt")
+PHASES = ("teacher", "student", "statistics", "adapt", "mixing")
 
 
 def phase_seed(seed: int, phase: str) -> int:
@@ -127,7 +135,8 @@ class Trainer:
     def _task_prompts(self, shape: tuple[PromptSettings, int, int, float]) -> TaskPrompts:
         settings, seed = shape[0], phase_seed(self.config.seed, "student")
         if settings.kind == "decomposed":
-            return DecomposedPrompts(*shape, seed)
+            kind = MixedPrompts if self.config.mixing.share else DecomposedPrompts
+            return kind(*shape, seed)
         if settings.kind in ("shared", "none"):
             return SharedPrompt(*shape, seed)
         inputs = copy.deepcopy(self.policy.inputs)
@@ -159,9 +168,25 @@ class Trainer:
         if self.config.teacher.distillation != "none":
             steps["teacher"] = self._train_teacher(began_s)
             teacher = Teacher(self.policy, self.teacher_prompts, self.config.teacher)
+        if isinstance(self.prompts, MixedPrompts):
+            self._mix(self.prompts)
         steps["student"] = self._fit("student", subject, began_s, 1.0, teacher)
         self._save(folder.weights, "mpdt", subject, steps)
         return self._trained(steps)
+
+    def _mix(self, prompts: MixedPrompts) -> None:
+        """The held-out mixtures; a function of data and settings, so a resumed run has the same."""
+        material, settings = self.material, self.config.mixing
+        seed = phase_seed(self.config.seed, "mixing")
+
+        def on_step(done: int, loss: float) -> None:
+            self.stop.check()
+            self.progress.update(
+                "reward model", done, settings.model.steps, f"unexplained {loss:.5f}"
+            )
+
+        weights = held_out_weights(read_training_tasks(material), settings, seed, on_step)
+        prompts.mix(weights, settings.share, seed)
 
     def _train_teacher(self, began_s: float) -> int:
         """Phase A into `self.policy` and `self.teacher_prompts`; the updates done."""

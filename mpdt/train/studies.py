@@ -68,6 +68,7 @@ def _family(data: str) -> tuple[Cell, ...]:
     """Every method on one family, the ones that matter most first."""
     return (
         _cell(data, "MPDT-no-distillation", _STARTS, _EXPERT),
+        _cell(data, "MPDT-mixed", _STARTS, _EXPERT),
         _cell(data, "Prompt-DT", {"adapt": {"starts": ["infer"]}}),
         _cell(data, "MT-BC-FT"),
         _cell(data, "MPDT-E", _STARTS, _EXPERT),

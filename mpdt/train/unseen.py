@@ -21,7 +21,13 @@ from mpdt.model.returns import ReturnTable
 from mpdt.train.adapt import INFERRED, NOT_ADAPTED, AdaptationSet, adapt, unseen_returns
 from mpdt.train.controller import PerTaskController, PromptController
 from mpdt.train.evaluate import Controller
-from mpdt.train.infer import Explanation, explain, fit_reward_model, read_transitions
+from mpdt.train.infer import (
+    Explanation,
+    explain,
+    fit_reward_model,
+    read_training_tasks,
+    read_transitions,
+)
 from mpdt.train.labelled import choose_labelled, tune
 from mpdt.train.material import sample_demonstrations
 from mpdt.train.multitask import as_batch
@@ -184,11 +190,7 @@ class UnseenTasks:
         material, settings = self._material, self._config.adapt
         dataset, family = material.dataset, material.family
         box = (family.action_low, family.action_high)
-        random = material.random_ids()
-        known = [
-            read_transitions(dataset, random[row], dataset.steps.rewards, *box)
-            for row in material.train_rows
-        ]
+        known = read_training_tasks(material)
 
         def on_step(done: int, loss: float) -> None:
             self._trainer.stop.check()

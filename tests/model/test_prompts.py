@@ -7,6 +7,7 @@ from mpdt.errors import ShapeError, SpecError
 from mpdt.model.prompts import (
     AdaptedPrompts,
     DecomposedPrompts,
+    MixedPrompts,
     PromptSettings,
     SharedPrompt,
     TeacherPrompts,
@@ -37,6 +38,29 @@ def test_composition_worked_by_hand(by_hand: DecomposedPrompts) -> None:
     assert by_hand.task_prompts().tolist() == [[[3, 8], [18, 32]], [[0, 0], [3, -4]]]
     rows = torch.tensor([1, 0, 1])
     assert torch.equal(by_hand.task_prompts(rows), by_hand.task_prompts()[rows])
+
+
+def test_mixtures_worked_by_hand(by_hand: DecomposedPrompts) -> None:
+    """Task 0 as a quarter of itself and three quarters of task 1; task 1 never mixes.
+
+    0.25 P_0 + 0.75 P_1 = 0.75 1      times P_c = 0.75 2
+                          2.25 1.25               6.75 5
+    """
+    mixed = MixedPrompts(SMALL, num_tasks=2, width=2, spread=1.0)
+    mixed.load_state_dict(by_hand.state_dict())
+    mixed.mix(torch.tensor([[0.25, 0.75], [0, 1]]), share=1.0, seed=3)
+    own = by_hand.task_prompts()
+    found = mixed.task_prompts(torch.tensor([1, 0]), step=5)
+    assert found.tolist() == [own[1].tolist(), [[0.75, 2], [6.75, 5]]]
+    assert torch.equal(mixed.task_prompts(), own)  # no step: not in training
+
+    mixed.mix(torch.tensor([[0.25, 0.75], [0, 1]]), share=0.3, seed=3)
+    rows = torch.zeros(200, dtype=torch.int64)
+    first = mixed.task_prompts(rows, step=5)
+    assert torch.equal(first, mixed.task_prompts(rows, step=5))
+    assert not torch.equal(first, mixed.task_prompts(rows, step=6))
+    share = (first[:, 0, 0] == 0.75).float().mean()
+    assert 0.2 < share < 0.4  # 200 draws of 0.3: standard deviation 0.03
 
 
 def test_gradients_worked_by_hand(by_hand: DecomposedPrompts) -> None:
