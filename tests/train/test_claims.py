@@ -1,0 +1,77 @@
+"""Verdicts and goals from rows made by hand."""
+
+import pytest
+
+from mpdt.train import claims
+from mpdt.train.claims import CLAIMS, GOALS, Claim, claims_table, goals_table, judge_claim
+from mpdt.train.methods import METHODS
+from mpdt.train.results import MEAN, Score
+from mpdt.train.studies import STUDIES
+from mpdt.train.summary import CellResult, Row
+
+
+def row(low, high, method="m"):
+    return Row(method, "X", 1, (low + high) / 2, (low, high), 0.0, (0.0, 0.0), None)
+
+
+@pytest.mark.parametrize(
+    ("behind", "verdict"),
+    [((1, 2), "confirmed"), ((1, 4), "not confirmed"), ((3, 4), "not confirmed"),
+     ((6, 7), "reversed"), ((4.5, 7), "not confirmed")],
+)  # fmt: skip
+def test_a_verdict_is_two_intervals(behind, verdict):
+    """The one said to be ahead has [3, 5]."""
+    rows = {"a": row(3, 5), "b": row(*behind)}
+    assert judge_claim(rows, Claim("", "d", "a", "b")) == verdict
+    assert judge_claim({"a": row(3, 5)}, Claim("", "d", "a", "b")) == "not run"
+
+
+def test_claims_name_cells_that_a_study_has():
+    """The label before the words of the row; a renamed method would silently be `not run`."""
+    known = {(cell.data, cell.label or cell.method) for cells in STUDIES.values() for cell in cells}
+    for claim in CLAIMS:
+        for name in (claim.ahead, claim.behind):
+            assert (claim.data, name.split(" ")[0]) in known, name
+    assert {claim.ahead.split(" ")[0] for claim in CLAIMS} & set(METHODS)
+
+
+def score(method, mean, block="test", reads="X", success=None, normalised=0.5):
+    task = [MEAN, "t"]
+    return [
+        Score(block=block, task=name, method=method, mean=mean, low=mean - 1, high=mean + 1,
+              normalised=normalised, success=success, reads=reads if block == "test" else None)
+        for name in task
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def cells():
+    scores = [
+        *score("zero action", 200.0, reads=None), *score("expert", 4000.0, reads=None),
+        *score("A infer", 3700.0, success=0.95, reads="X+rewards"), *score("A few-shot", 3900.0,
+        reads="labelled steps", success=1.0), *score("A", 3800.0, "train", normalised=0.92),
+    ]  # fmt: skip
+    return [CellResult("mt10", "A", 0, tuple(scores), {})]
+
+
+def test_goals_count_only_what_reads_at_most_x_and_rewards(cells):
+    table = goals_table(cells)
+    by_data = {line[0]: line for line in table.rows}
+    assert set(by_data) == set(GOALS) and by_data["ml10"][2] == "not run"
+    assert by_data["mt10"] == (
+        "mt10", ">= 3600, 90%", "3700.0 [3699.0, 3701.0], 95%",
+        "A infer (X+rewards; best of 1)", "0.92 of 0.9", "1317.52", "200.0", "4000.0", "met",
+    )  # fmt: skip
+
+
+def test_a_goal_is_missed_by_any_of_its_parts(cells, monkeypatch):
+    for goal in (claims.Goal(3701, 0.9, 0.0), claims.Goal(3600, 0.93, 0.0),
+                 claims.Goal(3600, 0.9, 0.0, success=0.96)):  # fmt: skip
+        monkeypatch.setattr(claims, "GOALS", {"mt10": goal})
+        assert goals_table(cells).rows[0][-1] == "missed"
+
+
+def test_claims_without_rows_are_not_run(cells):
+    table = claims_table(cells)
+    assert {line[-1] for line in table.rows} == {"not run"}
+    assert len(table.rows) == len(CLAIMS)
