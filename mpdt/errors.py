@@ -8,6 +8,7 @@
     │   ├── FormatError             1   not an mpdt file, or another format version
     │   └── ShapeError              1   arrays whose shapes or dtypes disagree
     ├── StorageError                1   the disk refused: full, read-only, no permission
+    ├── RemoteError                 1   the other side refused, or the connection broke
     ├── SimulatorError              3   simulator missing or of another version
     ├── BusyError                   4   another collector holds the target
     ├── BackboneError               2   language model unknown or unreachable
@@ -95,6 +96,11 @@ class ShapeError(DataError):
 
 
 class StorageError(MpdtError, OSError):
+    def __str__(self) -> str:
+        return self.message()
+
+
+class RemoteError(MpdtError, ConnectionError):
     def __str__(self) -> str:
         return self.message()
 

@@ -22,6 +22,7 @@ from typing import Annotated, Any, NoReturn, Union
 
 import tyro
 
+from mpdt.data.remote.address import hide
 from mpdt.data.verbs.adding import Tta
 from mpdt.data.verbs.cutting import Split
 from mpdt.data.verbs.editing import Diff, Drop, Merge
@@ -30,6 +31,8 @@ from mpdt.data.verbs.look import Info, List, Show
 from mpdt.data.verbs.make import Calibrate, Collect, Plans, Pretrain
 from mpdt.data.verbs.measure import Measure
 from mpdt.data.verbs.options import Options
+from mpdt.data.verbs.pages import Report, View
+from mpdt.data.verbs.remote import Pull, Push
 from mpdt.data.verbs.trust import Lock, Verify
 from mpdt.errors import MpdtError, unknown_name
 
@@ -45,10 +48,14 @@ VERBS: dict[str, type[Options]] = {
     "tta": Tta,
     "import": Import,
     "export": Export,
+    "push": Push,
+    "pull": Pull,
     "pretrain": Pretrain,
     "calibrate": Calibrate,
     "reference": Measure,
     "verify": Verify,
+    "report": Report,
+    "view": View,
     "lock": Lock,
     "info": Info,
 }
@@ -67,7 +74,7 @@ class Terminated(BaseException):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `mpdt-data` with `argv` (default: the process's) and return its exit code."""
-    words = list(sys.argv[1:] if argv is None else argv)
+    words = hide(sys.argv[1:] if argv is None else argv)  # no password reaches a message
     before = signal.signal(signal.SIGTERM, _terminate)
     try:
         _parse(words).run()

@@ -1,0 +1,48 @@
+"""Hub: many files as one commit to the Hugging Face hub, through its own library."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mpdt.errors import UsageError
+
+if TYPE_CHECKING:
+    from mpdt.data.remote.place import Place
+
+
+def commit(place: Place, files: Mapping[str, Path], list_path: str, listed: bytes) -> int:
+    """Send files and their list of sums, all at once or not at all; returns the bytes sent.
+
+    The library sends large files in pieces and does not send again what the hub has, so that a
+    broken commit is repeated cheaply. Its token comes from `hf auth login` or HF_TOKEN.
+
+    Raises: UsageError if the repository does not exist: who may read it is for its owner to
+        say. RemoteError.
+    """
+    from huggingface_hub import CommitOperationAdd, HfApi
+    from huggingface_hub.errors import RepositoryNotFoundError
+
+    if not place.address.startswith("hf://datasets/"):
+        raise UsageError("not a dataset repository", where=place.address,
+                         expected="hf://datasets/OWNER/NAME[/PATH]")  # fmt: skip
+    with place.told():
+        target = place.fs.resolve_path(list_path)
+        contents: dict[str, Path | bytes] = {**files, list_path: listed}
+        operations = [
+            CommitOperationAdd(place.fs.resolve_path(path).path_in_repo, content)
+            for path, content in contents.items()
+        ]
+        try:
+            HfApi().create_commit(
+                target.repo_id, operations, repo_type=target.repo_type, revision=target.revision,
+                commit_message=f"{len(files)} file{'s' * (len(files) != 1)} from mpdt-data push",
+            )  # fmt: skip
+        except RepositoryNotFoundError:
+            create = f"hf repo create {target.repo_id} --repo-type {target.repo_type}"
+            raise UsageError(
+                "no such repository, or none that you may write to",
+                where=place.address, hint=f"{create}; --private if it is not for all",
+            ) from None  # fmt: skip
+    return sum(path.stat().st_size for path in files.values())

@@ -1,0 +1,205 @@
+"""Place: the files behind one URL, through fsspec; every failure is one clear error.
+
+A connection that broke is made again by `reconnect`. Credentials are the business of the
+libraries: keys and known hosts in ~/.ssh, ~/.aws, the hub's own login, fsspec's configuration.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import fsspec
+from fsspec.registry import known_implementations
+
+from mpdt.data.remote.address import hidden, without_secrets
+from mpdt.errors import MissingFileError, MpdtError, RemoteError, UsageError, unknown_name
+
+CHUNK_BYTES = 1 << 18
+_APPEND = {"file", "local", "memory", "sftp", "ssh"}
+_READ_ONLY = {"http", "https"}
+# What file systems call the state of a file. An access time is none.
+_VERSIONS = ("ETag", "etag", "Content-MD5", "md5", "sha256", "blob_id", "oid", "mtime",
+             "modified", "last_modified", "LastModified", "Last-Modified")  # fmt: skip
+
+
+class RefusedError(RemoteError):
+    """The other side knows who asks, or does not, and will not."""
+
+
+class Place:
+    """Where a URL points.
+
+    Args:
+        url: with whatever secrets it has; `address` is without.
+    Raises: UsageError for an unknown protocol or one whose package is missing; RemoteError.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url, self.address = url, hidden(url)
+        self.protocol = url.partition("://")[0] if "://" in url else "file"
+        self.can_append = self.protocol in _APPEND
+        self.is_read_only = self.protocol in _READ_ONLY
+        self.fs: Any = None
+        self.reconnect()
+
+    def __enter__(self) -> Place:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Only SFTP keeps a connection that has to be closed."""
+        if hasattr(self.fs, "client"):
+            self.fs.client.close()
+
+    def reconnect(self) -> None:
+        """Connect, with nothing left of an earlier connection."""
+        self.close()
+        with self.told(connecting=True):
+            options: dict[str, Any] = {"skip_instance_cache": True}
+            if self.protocol in ("sftp", "ssh"):
+                from mpdt.data.remote.ssh import known_hosts_only
+
+                options["host_key_policy"] = known_hosts_only()
+            self.fs, self.path = fsspec.url_to_fs(self._url, **options)
+
+    def info(self, path: str) -> dict[str, Any] | None:
+        """What is known of a file or folder: `type`, `size`, ...; None if it is not there."""
+        with self.told():
+            try:
+                self.fs.invalidate_cache()
+                found: dict[str, Any] = self.fs.info(path)
+            except FileNotFoundError:
+                return None
+            return found
+
+    def state(self, path: str) -> dict[str, Any] | None:
+        """Size in bytes (None if the server does not say) and version of a file, as JSON values."""
+        found = self.info(path)
+        if found is None or found.get("type") == "directory":
+            return None
+        known = next((key for key in _VERSIONS if found.get(key)), None)
+        version = f"{known} {found[known]}" if known else ""
+        return {"size": found.get("size"), "version": version}
+
+    def stream(self, path: str, offset: int = 0) -> Iterator[bytes]:
+        """The bytes of a file from `offset` on. Raises: RemoteError, MissingFileError."""
+        # One plain GET reads a whole file even from a server that knows no ranges.
+        whole = {"block_size": 0} if self.is_read_only and not offset else {}
+        with self.told(), self.fs.open(path, "rb", **whole) as file:
+            if offset:
+                file.seek(offset)
+            if hasattr(file, "prefetch"):  # paramiko else waits for every 32 kB
+                file.prefetch()
+            while chunk := file.read(CHUNK_BYTES):
+                yield chunk
+
+    def read(self, path: str) -> bytes | None:
+        """A small file; None if it is not there. Some servers call that forbidden."""
+        try:
+            return b"".join(self.stream(path))
+        except (MissingFileError, RefusedError):
+            return None
+
+    def sha256(self, path: str) -> str:
+        """Of what is there: read back, unless the hub computed it when it took the file."""
+        known = ((self.info(path) or {}).get("lfs") or {}).get("sha256")
+        if known:
+            return str(known)
+        found = hashlib.sha256()
+        for chunk in self.stream(path):
+            found.update(chunk)
+        return found.hexdigest()
+
+    def append(self, path: str, source: Path, offset: int) -> None:
+        """Write `source` from `offset` on to the end of `path`, or from 0 to a new file."""
+        with self.told(), source.open("rb") as local:
+            local.seek(offset)
+            self.make_folder(path)
+            with self.fs.open(path, "ab" if offset else "wb") as file:
+                if hasattr(file, "set_pipelined"):  # paramiko else waits for every 32 kB
+                    file.set_pipelined(True)
+                while chunk := local.read(CHUNK_BYTES):
+                    file.write(chunk)
+
+    def put(self, path: str, source: Path) -> None:
+        """Write a whole file in the way its protocol does best."""
+        with self.told():
+            self.make_folder(path)
+            self.fs.put_file(str(source), path)
+
+    def make_folder(self, path: str) -> None:
+        """The folder of `path`. Object stores have none, so a refusal is left to the write."""
+        with suppress(OSError, NotImplementedError):
+            self.fs.makedirs(path.rpartition("/")[0] or "/", exist_ok=True)
+
+    def write(self, path: str, content: bytes) -> None:
+        """Write a small file."""
+        with self.told():
+            self.make_folder(path)
+            self.fs.pipe_file(path, content)
+
+    def rename(self, old: str, new: str) -> None:
+        """In one step where the protocol has one; what was at `new` is gone."""
+        with self.told():
+            if self.protocol in ("webdav", "webdavs"):
+                self.fs.mv(old, new, overwrite=True)
+            else:
+                self.fs.mv(old, new)
+
+    def remove(self, path: str) -> None:
+        with self.told(), suppress(FileNotFoundError):
+            self.fs.rm_file(path)
+
+    @contextmanager
+    def told(self, connecting: bool = False) -> Iterator[None]:
+        """Turn what dozens of libraries raise into our errors, without secrets.
+
+        `from None`: a traceback would quote the library's words, URL and all.
+        """
+        try:
+            yield
+        except MpdtError:
+            raise
+        except (FileNotFoundError, NotADirectoryError) as error:
+            cause = error.__cause__  # fsspec's HTTP says this of whatever happened
+            gone = getattr(cause, "status", None) in (404, 410)
+            if cause is None or gone or isinstance(cause, FileNotFoundError):
+                raise MissingFileError("no such file", where=self.address) from None
+            raise _refusal(self.address, self._words(cause), cause) from None
+        except ImportError as error:
+            raise _missing_package(self.address, self.protocol, error) from None
+        except Exception as error:  # noqa: BLE001  the libraries share no base class
+            if connecting and isinstance(error, ValueError) and "not known" in str(error):
+                raise unknown_name("protocol", self.protocol, known_implementations,
+                                   where=self.address) from None  # fmt: skip
+            raise _refusal(self.address, self._words(error), error) from None
+
+    def _words(self, error: BaseException) -> str:
+        text = without_secrets(str(error), self._url).strip()
+        return f"{type(error).__name__}: {text}"[:300] if text else type(error).__name__
+
+
+def _missing_package(address: str, protocol: str, error: ImportError) -> MpdtError:
+    """fsspec names the package of every protocol it knows."""
+    known = known_implementations.get(protocol, {}).get("err") or str(error)
+    return UsageError(f"{protocol} needs a package that is not installed", where=address,
+                      found=known,
+                      hint="install it with pip; 'mpdt[remote]' brings those of sftp, webdav, "
+                           "http and s3")  # fmt: skip
+
+
+def _refusal(address: str, words: str, error: BaseException) -> MpdtError:
+    status = getattr(error, "status", None) or getattr(error, "status_code", None)
+    kind = type(error).__name__
+    if isinstance(error, PermissionError) or "Authentication" in kind or status in (401, 403):
+        return RefusedError("no permission", where=address, found=words,
+                       hint="credentials come from the library's own places, see "
+                            "docs/remote.md")  # fmt: skip
+    return RemoteError("cannot be reached, or the connection broke", where=address, found=words,
+                       hint="the same command goes on from here")  # fmt: skip

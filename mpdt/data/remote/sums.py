@@ -1,0 +1,70 @@
+"""Sums: SHA-256 of what was sent, beside it, as `sha256sum -c` reads them.
+
+x.h5        x.h5.sha256            one line
+folder/     folder/SHA256SUMS      one line per file; last to be written, so it means whole
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+from mpdt.errors import DataError, FormatError, MissingFileError
+
+SUFFIX = ".sha256"
+FILE_NAME = "SHA256SUMS"
+_LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
+
+
+def sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sums_of(source: Path) -> dict[str, str]:
+    """SHA-256 by path: of the file, or of every file below the folder.
+
+    Raises: MissingFileError; DataError for an empty folder and for names that a line cannot hold.
+    """
+    if source.is_file():
+        return {source.name: sha256(source)}
+    if not source.is_dir():
+        raise MissingFileError("no such file or folder", where=str(source))
+    files = sorted(path for path in source.rglob("*") if path.is_file())
+    names = {path.relative_to(source).as_posix(): path for path in files}
+    names.pop(FILE_NAME, None)
+    if not names:
+        raise DataError("an empty folder", where=str(source))
+    for name in names:
+        if not _is_plain(name):
+            raise DataError("a file name that cannot be sent", where=str(source), found=name)
+    return {name: sha256(path) for name, path in names.items()}
+
+
+def dumped(sums: Mapping[str, str]) -> bytes:
+    """As sha256sum writes them."""
+    return "".join(f"{digest}  {name}\n" for name, digest in sums.items()).encode()
+
+
+def loaded(content: bytes, where: str) -> dict[str, str]:
+    """Raises: FormatError for other lines, and for names that lead out of the folder."""
+    try:
+        lines = [_LINE.fullmatch(line) for line in content.decode().splitlines()]
+    except UnicodeDecodeError:
+        lines = [None]
+    found = {line[2]: line[1] for line in lines if line and _is_plain(line[2])}
+    if not found or len(found) != len(lines):
+        raise FormatError("not a list of SHA-256 sums", where=where,
+                          expected="lines of 64 hex digits, two spaces, a path below it",
+                          found=content[:60].decode(errors="replace").strip())  # fmt: skip
+    return found
+
+
+def _is_plain(name: str) -> bool:
+    path = PurePosixPath(name)
+    # Our own: `.part` files, and the list itself.
+    ours = path.suffix == ".part" or name == FILE_NAME
+    odd = "\\" in name or not name.isprintable() or name != str(path)
+    return not (path.is_absolute() or ".." in path.parts or odd or ours)

@@ -1,0 +1,249 @@
+"""push and pull against real servers, with the connection cut half-way."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from mpdt.data.remote.pull import pull
+from mpdt.data.remote.push import push
+from mpdt.data.remote.sums import FILE_NAME
+from mpdt.data.store.reader import open_dataset
+from mpdt.errors import DataError, RemoteError
+
+Run = Callable[..., tuple[int, str, str]]
+Wire = Any
+MB = 1 << 20
+
+
+@pytest.fixture(scope="module")
+def export(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a file of 6 MB and a small one below."""
+    folder = tmp_path_factory.mktemp("export") / "set"
+    (folder / "data").mkdir(parents=True)
+    (folder / "data/large.bin").write_bytes(np.random.PCG64(1).random_raw(6 * MB // 8).tobytes())
+    (folder / "README.md").write_text("hello\n")
+    return folder
+
+
+def tree(folder: Path) -> dict[str, str]:
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != FILE_NAME]
+    digest = {p: hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+    return {str(p.relative_to(folder)): digest[p] for p in sorted(files)}
+
+
+def test_a_file_goes_there_and_back(
+    sftp: Wire, run: Run, collected: Path, tmp_path: Path
+) -> None:  # fmt: skip
+    """Found by name, checked, listed as sha256sum does; a second time nothing moves."""
+    (tmp_path / "there").mkdir()
+    url = f"sftp://127.0.0.1:{sftp.port}{tmp_path}/there/"
+    code, out, err = run("push", collected, url)
+    assert (code, err) == (0, "")
+    assert out.startswith(f"pushed  {url}tiny.h5   0.")
+    there = sorted(path.name for path in (tmp_path / "there").iterdir())
+    assert there == ["tiny.h5", "tiny.h5.sha256"]
+    check = ["sha256sum", "--check", "tiny.h5.sha256"]
+    subprocess.run(check, cwd=tmp_path / "there", check=True, capture_output=True)
+    assert run("push", collected, url)[1].startswith("nothing to do: there already  sftp://")
+
+    code, out, err = run("pull", url + "tiny.h5", "--json")
+    assert (code, err) == (0, "")
+    found = json.loads(out)
+    assert (code, found["path"], found["proof"], found["files"]) == (0, "tiny.h5", "sums", 1)
+    assert found["content_hash"] == open_dataset("tiny.h5").content_hash
+    assert found["moved_bytes"] == found["bytes"] == collected.stat().st_size
+    assert Path("tiny.h5").read_bytes() == collected.read_bytes()
+    assert [path.name for path in Path().iterdir()] == ["tiny.h5"]  # no part, no note
+    assert run("pull", url + "tiny.h5")[1].startswith("nothing to do: there already  tiny.h5")
+
+
+def test_broken_push_and_pull_of_a_folder_go_on(
+    sftp: Wire, export: Path, tmp_path: Path
+) -> None:  # fmt: skip
+    """Cut after 2 and 3 MB: what crosses the wire is little more than once the folder."""
+    url = f"sftp://127.0.0.1:{sftp.port}{tmp_path}/set"
+    sftp.cuts = [2 * MB, 3 * MB]
+    sent = push(export, url, check=False)
+    assert sent.num_new_bytes == sent.num_bytes == 6 * MB + 6
+    assert tree(tmp_path / "set") == tree(export)
+    assert sftp.num_connections == 3
+    assert sftp.num_bytes < 8 * MB  # each cut loses what was in flight
+    sftp.cuts, sftp.num_bytes, sftp.num_connections = [2 * MB, 2 * MB], 0, 0
+    back = pull(url, tmp_path / "back")
+    assert (back.num_files, back.num_new_bytes) == (2, 6 * MB + 6)
+    assert tree(tmp_path / "back") == tree(export)
+    assert sftp.num_connections == 3
+    assert sftp.num_bytes < 11 * MB  # of each cut connection less than 2 MB and a chunk are lost
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_killed_pull_goes_on(http: Wire, export: Path, tmp_path: Path) -> None:
+    """SIGKILL at 3 of 6 MB; the next one asks for the rest by range."""
+    shutil.copytree(export, tmp_path / "served/set")
+    push(export, str(tmp_path / "served/set"))  # only the list is new
+    url = f"http://127.0.0.1:{http.port}/set"
+    code = (
+        "import sys, time\nfrom pathlib import Path\nfrom mpdt.data.remote.pull import pull\n"
+        "def tell(name, done, size):\n"
+        f"    if done > {3 * MB}:\n        Path('now').touch(); time.sleep(60)\n"
+        "pull(sys.argv[1], Path('set'), tell=tell)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code, url], cwd=tmp_path)
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "now").exists():
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    part = tmp_path / "set.part/data/large.bin.part"
+    kept = part.stat().st_size
+    assert 3 * MB < kept < 6 * MB and not (tmp_path / "set").exists()
+    http.num_bytes = 0
+    found = pull(url, tmp_path / "set")
+    assert found.num_new_bytes <= 6 * MB - kept + 6
+    assert http.num_bytes < 6 * MB - kept + MB // 4
+    assert tree(tmp_path / "set") == tree(export)
+
+
+def test_a_part_of_another_state_is_not_continued(
+    http: Wire, collected: Path, tmp_path: Path
+) -> None:  # fmt: skip
+    """A changed source, or a part without a note, starts anew; a damaged part is found."""
+    served, target = tmp_path / "served/x.h5", tmp_path / "x.h5"
+    part, note = tmp_path / "x.h5.part", tmp_path / "x.h5.part.json"
+    url = f"http://127.0.0.1:{http.port}/x.h5"
+    content = collected.read_bytes()
+    served.write_bytes(content)
+    http.cuts = [0] * 9
+    with pytest.raises(RemoteError, match="connection broke"):
+        pull(url, target)
+    assert not part.exists()  # nothing was known of the source yet
+    http.cuts = []
+    part.write_bytes(b"?" * 1000)
+    assert pull(url, target).num_new_bytes == len(content)
+    target.unlink()
+
+    def half(of: bytes) -> None:
+        """A pull that stops with these bytes in its part and the right note."""
+        with pytest.raises(KeyboardInterrupt):
+            pull(url, target, tell=interrupt)
+        part.write_bytes(of[: len(content) // 2])
+
+    def interrupt(name: str, done: int, size: int | None) -> None:
+        raise KeyboardInterrupt
+
+    half(content)
+    assert pull(url, target).num_new_bytes == len(content) - len(content) // 2
+    target.unlink()
+    half(content)
+    os.utime(served, (1, 1))  # other ETag
+    assert pull(url, target).num_new_bytes == len(content)
+    target.unlink()
+    half(b"?" * len(content))
+    with pytest.raises(DataError, match="not a whole dataset file"):
+        pull(url, target)
+    assert not part.exists() and not note.exists() and not target.exists()
+
+
+def test_damage_on_either_side_is_refused(
+    sftp: Wire, run: Run, collected: Path, tmp_path: Path
+) -> None:  # fmt: skip
+    url = f"sftp://127.0.0.1:{sftp.port}{tmp_path}/tiny.h5"
+    bad = shutil.copy(collected, tmp_path / "bad.h5")
+    with h5py.File(bad, "r+") as file:
+        file["steps/rewards"][3] += 1
+    code, _, err = run("push", bad, url)
+    assert code == 1 and "not a whole dataset file" in err
+    assert not (tmp_path / "tiny.h5").exists()
+    assert run("push", collected, url)[0] == 0
+    code, _, err = run("push", bad.replace(tmp_path / "x.txt"), url)
+    assert code == 1 and "not an HDF5 file" not in err
+    shutil.copy(tmp_path / "x.txt", tmp_path / "tiny.h5")  # damaged there
+    code, _, err = run("pull", url)
+    assert code == 1 and "arrived damaged" in err and not list(Path().iterdir())
+    code, _, err = run("push", collected, url)
+    assert code == 1 and "something else is there already" in err and "--replace" in err
+    assert run("push", collected, url, "--replace")[0] == 0
+    Path("tiny.h5").write_text("mine")
+    code, _, err = run("pull", url)
+    assert code == 1 and "something else" in err and Path("tiny.h5").read_text() == "mine"
+
+
+def test_what_arrives_damaged_is_deleted_there(
+    collected: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    from mpdt.data.remote.place import Place
+
+    def append(self: Place, path: str, source: Path, offset: int) -> None:
+        Path(path).write_bytes(source.read_bytes()[:-1] + b"?")
+
+    monkeypatch.setattr(Place, "append", append)
+    with pytest.raises(DataError, match="arrived damaged, and was deleted there"):
+        push(collected, f"file://{tmp_path}/x.h5")
+    assert list(tmp_path.glob("x.h5*")) == []
+
+
+def test_passwords_appear_nowhere(
+    sftp: Wire, run: Run, collected: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    """Not in results, errors, usage, tracebacks, hints after Ctrl-C, notes or lists."""
+    name, port = os.environ["USER"], sftp.port
+    good = f"sftp://{name}:s3cret@127.0.0.1:{port}{tmp_path}/x.h5"
+    seen = [*run("push", collected, good, "--json"), *run("pull", good)]
+    assert seen[0] == seen[3] == 0 and f"{name}:***@127.0.0.1" in seen[1]
+    os.environ["HOME"] = str(tmp_path)  # another home: no key, no known host
+    seen += run("pull", good, "-v", "-o", "y.h5")
+    assert "an unknown host" in seen[-1] and "connect once with ssh" in seen[-1]
+    for words in (("pull", good, "surplus"), ("pull", good, "--ouput", "x"), ("plan", good)):
+        with pytest.raises(SystemExit) if words[0] == "pull" else pytest.MonkeyPatch.context():
+            run(*words)
+        seen += capsys.readouterr()
+    wrong = good.replace("s3cret", "s3cret2")
+    for url in (wrong, wrong.replace("sftp", "sfpt"), wrong.replace("sftp", "http")):
+        for verb in (("pull", url, "-v"), ("push", collected, url)):
+            seen += run(*verb)
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    seen += [path.read_bytes().decode("latin1") for path in files]
+    assert not [text for text in seen if "s3cret" in str(text)]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (("pull", "sfpt://host/x.h5"), 2, "unknown protocol 'sfpt' (did you mean 'sftp'?)"),
+        (("pull", "boxx"), 2, "no file there, and no folder with a list of sums"),
+        (("pull", "box://x/x.h5"), 2, "boxfs"),
+        (("push", "no.h5", "memory://x"), 2, "no such file or folder"),
+        (("push", ".", "memory://x"), 1, "an empty folder"),
+        (("push", "no.h5", "https://h/x"), 2, "http is read only"),
+        (("pull", "memory://x", "-o", "no/x.h5"), 2, "folder does not exist"),
+        (("pull", "sftp://127.0.0.1:1/x"), 1, "the same command goes on from here"),
+    ],
+)
+def test_mistakes_are_one_clear_error(
+    run: Run, words: tuple[str, ...], code: int, text: str
+) -> None:  # fmt: skip
+    found, out, err = run(*words)
+    assert found == code and text in err and not out
+    assert not list(Path().iterdir())
+
+
+def test_only_what_the_lock_holds(tiny_file: Path, run: Run, tmp_path: Path) -> None:
+    (tmp_path / "here/datasets.yaml").write_text((tmp_path / "datasets.yaml").read_text())
+    source = shutil.move(tiny_file, tmp_path / "there.h5")
+    code, _, err = run("pull", source, "--locked", "-o", "tiny.h5")
+    assert code == 1 and "datasets.lock has no entry tiny" in err and not Path("tiny.h5").exists()
