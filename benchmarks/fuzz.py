@@ -93,9 +93,11 @@ def look_at_weights(path: Path, original: Path) -> str:
     from mpdt.model.weights import load_weights
 
     (header, tensors), (same_header, same) = load_weights(path), load_weights(original)
-    if header != same_header:
-        return "accepted"  # its settings and hashes are compared with the data when it is used
-    equal = tensors.keys() == same.keys() and all(t.equal(same[n]) for n, t in tensors.items())
+    equal = (
+        header == same_header
+        and tensors.keys() == same.keys()
+        and all(t.equal(same[n]) for n, t in tensors.items())
+    )
     return "unchanged" if equal else "MISSED weights"
 
 

@@ -43,8 +43,8 @@ def save_weights(path: Path, tensors: Mapping[str, Tensor], header: WeightsHeade
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         # One key: safetensors writes several in any order, and the bytes would differ.
-        text = f"{_digest(own)}\n{msgspec.json.encode(header).decode()}"
-        data = save(own, metadata={"mpdt": text})
+        said = msgspec.json.encode(header).decode()
+        data = save(own, metadata={"mpdt": f"{_digest(own, said)}\n{said}"})
         with partial.open("wb") as stream:
             stream.write(data)
             stream.flush()
@@ -82,9 +82,9 @@ def load_weights(
         ) from error
     digest, _, text = (text or "").rpartition("\n")
     header = _read_header(path, text or None)
-    if digest != _digest(tensors):
+    if digest != _digest(tensors, text):
         raise FormatError(
-            "the numbers are not those that were written",
+            "the contents are not those that were written",
             where=str(path),
             hint="take another copy, or train again",
         )
@@ -104,9 +104,9 @@ def load_weights(
     return header, tensors
 
 
-def _digest(tensors: Mapping[str, Tensor]) -> str:
-    """SHA-256 over name, type, shape and bytes of each tensor, in order of the names."""
-    whole = hashlib.sha256()
+def _digest(tensors: Mapping[str, Tensor], header: str) -> str:
+    """SHA-256 over the header, then name, type, shape and bytes of each tensor, by name."""
+    whole = hashlib.sha256(f"{header}\n".encode())
     for name in sorted(tensors):
         tensor = tensors[name].cpu().contiguous()
         whole.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())

@@ -106,3 +106,12 @@ def test_a_flipped_bit_of_a_number_is_found(path: Path) -> None:
     path.write_bytes(content)
     with pytest.raises(FormatError, match="not those that were written"):
         load_weights(path)
+
+
+def test_a_changed_word_of_the_header_is_found(path: Path) -> None:
+    """Another kind of the same length would be believed otherwise."""
+    content = path.read_bytes()
+    assert content.count(b"mpdt-weights/1") == 1 and b'\\"mpdt\\"' in content
+    path.write_bytes(content.replace(b'\\"mpdt\\"', b'\\"mpdu\\"'))
+    with pytest.raises(FormatError, match="not those that were written"):
+        load_weights(path)
