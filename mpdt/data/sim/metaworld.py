@@ -102,6 +102,11 @@ class MetaworldEnv:
         self._env = env
         self._num_steps = 0
 
+    @property
+    def scene(self) -> tuple[Any, Any]:
+        """MuJoCo's own (MjModel, MjData), for a camera; look, do not touch."""
+        return self._env.model, self._env.data
+
     def draw(self, seed: int) -> FloatArray:
         """Reset vector (G,) that the env itself accepts when it is seeded with `seed`.
 

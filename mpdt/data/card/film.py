@@ -1,0 +1,171 @@
+"""Film: stored episodes simulated again in front of an off-screen camera.
+
+Frames are not stored; the episode is stepped again from its seed key, goal and stored actions, and
+compared with the stored observations on the way.
+
+    films = shoot(dataset.path, ids, num_frames=6)
+
+OpenGL is chosen when mujoco is imported, broken drivers end the process, and a second OSMesa
+context in a process draws garbage. So a child process films, one per way of drawing that is tried:
+what MUJOCO_GL says, else EGL (Mesa draws without a GPU too), then OSMesa.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mpdt.data.episode import Episode
+from mpdt.data.spec.tasks import Family, get_family
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.reader import open_dataset
+from mpdt.errors import DataError, MpdtError, SimulatorError
+from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
+
+WIDTH, HEIGHT = 240, 180
+Pixels = npt.NDArray[np.uint8]
+CAMERAS = {  # azimuth, elevation in degrees; distance in m
+    "cheetah": (90.0, -15.0, 2.8),
+    "ant": (90.0, -30.0, 4.0),
+    "sawyer": (150.0, -25.0, 1.4),
+}
+TABLE = (0.05, 0.6, 0.2)  # m; what the camera looks at in Meta-World
+HINT = (
+    "drawing without a screen needs EGL or OSMesa; on Debian: "
+    "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6 and MUJOCO_GL=osmesa"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Frames of one episode.
+
+    Args:
+        frames: (F, HEIGHT, WIDTH, 3).
+        steps: how many steps were done before each frame, ascending; the last is the end.
+        is_equal: the simulator gave the stored observations, byte for byte.
+    """
+
+    episode: int
+    frames: Pixels
+    steps: tuple[int, ...]
+    is_equal: bool
+
+
+def shoot(path: Path, ids: Sequence[int], num_frames: int | None = 6) -> list[Film]:
+    """Film episodes of a file.
+
+    Args:
+        num_frames: spread evenly from the first observation to the last; None = every step.
+    Raises: DataError for episodes without a seed; UsageError for a family that cannot be
+        simulated; SimulatorError if nothing here can draw, with what to install.
+    """
+    data, refused = open_dataset(path), []
+    get_family(data.family)  # before a process is started for it
+    for way in ways_to_draw():
+        try:
+            with ProcessPoolExecutor(
+                1, mp_context=get_context("spawn"), initializer=_use, initargs=(way,)
+            ) as pool:
+                return pool.submit(film_here, data.path, list(ids), num_frames).result()
+        except MpdtError:
+            raise
+        except BrokenProcessPool:
+            refused.append(f"{way}: the process ended")
+        except Exception as error:  # noqa: BLE001  drivers raise whatever they like
+            refused.append(f"{way}: {type(error).__name__}: {error}".splitlines()[0][:120])
+    raise SimulatorError("nothing here can draw a picture", found="; ".join(refused), hint=HINT)
+
+
+def ways_to_draw() -> tuple[str, ...]:
+    """Values of MUJOCO_GL to try."""
+    if given := os.environ.get("MUJOCO_GL"):
+        return (given,)
+    return ("egl", "osmesa") if sys.platform == "linux" else ("glfw",)
+
+
+def _use(way: str) -> None:
+    """In the child, before anything imports mujoco."""
+    os.environ["MUJOCO_GL"] = way
+
+
+def film_here(path: Path, ids: Sequence[int], num_frames: int | None) -> list[Film]:
+    """Film with the OpenGL of this very process."""
+    data = open_dataset(path)
+    return [_film(data, episode_id, num_frames) for episode_id in ids]
+
+
+def _film(data: Dataset, episode_id: int, num_frames: int | None) -> Film:
+    import mujoco  # here: `_use` comes before it
+
+    episode, family = data.episode(episode_id), get_family(data.family)
+    length = episode.length
+    places = np.linspace(0, length, num_frames or length + 1).round().astype(int)
+    wanted = sorted(set(places.tolist()))
+    frames, is_equal = [], True
+    stage = _stage(data, family, episode)
+    camera = mujoco.MjvCamera()
+    with closing(mujoco.Renderer(stage.model, HEIGHT, WIDTH)) as renderer:
+        for step, observation in enumerate(_play(stage, episode)):
+            shown = observation.astype(np.float32)
+            shown[list(family.hidden_columns)] = 0.0
+            is_equal &= shown.tobytes() == episode.observations[step].tobytes()
+            if step in wanted:
+                renderer.update_scene(stage.data, camera=_aimed(camera, family, stage))
+                frames.append(renderer.render().copy())
+    return Film(episode_id, np.stack(frames), tuple(wanted), is_equal)
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """One simulator with what a camera needs."""
+
+    model: Any
+    data: Any
+    first: npt.NDArray[np.float64]
+    step: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float64]]
+
+
+def _play(stage: _Stage, episode: Episode) -> Iterator[npt.NDArray[np.float64]]:
+    yield stage.first
+    for action in episode.actions:
+        yield stage.step(np.asarray(action))
+
+
+def _stage(data: Dataset, family: Family, episode: Episode) -> _Stage:
+    where = str(data.path)
+    task = family.tasks[episode.task]
+    if family.simulator == "metaworld":
+        from mpdt.data.sim.metaworld import MetaworldEnv
+
+        arm = MetaworldEnv(task.name)
+        first = arm.reset(episode.goal)
+        return _Stage(*arm.scene, first, lambda action: arm.step(action)[0])
+    from mpdt.data.sim.locomotion_env import LocomotionEnv
+
+    seed = data.spec.get("seed")
+    if not isinstance(seed, int) or episode.seed_key == UNKNOWN_SEED_KEY:
+        raise DataError("an episode without a seed cannot be simulated again", where=where)
+    env = LocomotionEnv(family.name, task.name, **(data.spec.get("env") or {}))
+    env.model.geom("floor").size[:2] = 0.0  # drawn without an end; an expert runs past it
+    first, _ = env.reset(seed=SeedKey(seed, *episode.seed_key).env_seed())
+    return _Stage(env.model, env.data, first, lambda action: env.step(action)[0])
+
+
+def _aimed(camera: Any, family: Family, stage: _Stage) -> Any:
+    """The camera on the table, or beside the torso (MuJoCo's own tracking lags behind)."""
+    camera.azimuth, camera.elevation, camera.distance = CAMERAS[family.robot]
+    at = stage.data.body("torso").xpos[:2] if family.robot != "sawyer" else None
+    camera.lookat[:] = TABLE if at is None else (*at, 0.5)
+    return camera
