@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from mpdt.data.sim.batch import BoolArray, FloatArray, StepResult
 from mpdt.data.sim.contacts import FingerContacts
+from mpdt.data.sim.sawyer import quick_class
 from mpdt.errors import ShapeError, SimulatorError, UsageError, unknown_name
 from mpdt.seeding import SeedKey, Stream
 
@@ -85,19 +86,20 @@ def scripted_policy(task_name: str) -> Any:
 class MetaworldEnv:
     """One env of one task, the goal visible, driven by explicit reset vectors.
 
-    `fast_contacts=False` keeps Meta-World's own contact loop: same bytes, slower.
+    `quick=False` steps the class as it is published: same bytes, slower.
     """
 
-    def __init__(self, task_name: str, *, fast_contacts: bool = True) -> None:
+    def __init__(self, task_name: str, *, quick: bool = True) -> None:
         self.task_name = task_name
+        published = find_class(task_name, "env")
         with quiet():
-            env = find_class(task_name, "env")()
+            env = (quick_class(published) if quick else published)()
         # As `set_task` does it, without its pickles: show the goal and rebuild the cached
         # space, whose goal bounds are zero while the goal is hidden.
         env._partially_observable = False
         del env.sawyer_observation_space
         env._set_task_called = True
-        if fast_contacts:
+        if quick:
             env.touching_object = FingerContacts(env)
         self._env = env
         self._num_steps = 0

@@ -136,7 +136,7 @@ def test_drawing_without_moving_the_hand_changes_no_goal(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [task.name for task in get_family("mt50").tasks])
 def test_all_tasks_draw_reset_and_step_like_the_plain_env(name):
-    fast, plain = MetaworldEnv(name), MetaworldEnv(name, fast_contacts=False)
+    fast, plain = MetaworldEnv(name), MetaworldEnv(name, quick=False)
     policy = ScriptedPolicy([name], 0.1)
     for row in range(2):
         seed = key("reach", row).env_seed(Stream.GOAL)
@@ -155,7 +155,7 @@ def test_all_tasks_draw_reset_and_step_like_the_plain_env(name):
 
 @pytest.mark.parametrize("name", ["push", "sweep"])
 def test_contact_arrays_give_the_same_bytes_as_the_contact_loop(name):
-    fast, slow = MetaworldEnv(name), MetaworldEnv(name, fast_contacts=False)
+    fast, slow = MetaworldEnv(name), MetaworldEnv(name, quick=False)
     asked = []
     contacts = fast._env.touching_object
     fast._env.touching_object = lambda geom: asked.append(contacts(geom)) or asked[-1]
