@@ -35,6 +35,7 @@ from mpdt.data.verbs.pages import Report, View
 from mpdt.data.verbs.remote import Pull, Push
 from mpdt.data.verbs.trust import Lock, Verify
 from mpdt.errors import MpdtError, unknown_name
+from mpdt.pipe import reader_may_leave
 
 VERBS: dict[str, type[Options]] = {
     "list": List,
@@ -74,6 +75,12 @@ class Terminated(BaseException):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `mpdt-data` with `argv` (default: the process's) and return its exit code."""
+    with reader_may_leave():
+        return _answer(argv)
+    return 0  # `mpdt-data list | head`
+
+
+def _answer(argv: Sequence[str] | None) -> int:
     words = hide(sys.argv[1:] if argv is None else argv)  # no password reaches a message
     before = signal.signal(signal.SIGTERM, _terminate)
     try:
@@ -87,10 +94,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _interrupted(words, 130)
     except Terminated:
         return _interrupted(words, 143)
-    except BrokenPipeError:
-        # `mpdt-data list | head`: whoever read has enough. Keep Python's exit flush quiet.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     finally:
         signal.signal(signal.SIGTERM, before)
     return 0

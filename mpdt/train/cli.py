@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from mpdt.errors import MpdtError
+from mpdt.pipe import reader_may_leave
 from mpdt.train.commands import (
     COMMANDS,
     Adapt,
@@ -54,9 +55,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     verb = arguments.pop(0) if arguments and not arguments[0].startswith("-") else "run"
     # Until a run listens nothing is begun that could be lost, and libraries in the middle of
     # their import answer KeyboardInterrupt with anything from a traceback to silence.
-    before = signal.signal(signal.SIGINT, _leave)
+    before, code = signal.signal(signal.SIGINT, _leave), 0
     try:
-        code = _answer(verb, arguments)
+        with reader_may_leave():
+            code = _answer(verb, arguments)
     finally:
         signal.signal(signal.SIGINT, before)
     sys.exit(code)
