@@ -11,8 +11,6 @@ peers   the same tasks as gymnasium environments, stepped with ready-made action
 
 from __future__ import annotations
 
-import contextlib
-import io
 import itertools
 import shutil
 import tempfile
@@ -150,7 +148,7 @@ def peer_ways(entry: str, actions: np.ndarray) -> list[rounds.Way]:
              rounds.Way(f"AsyncVectorEnv, {rounds.cores()} envs", "peer", vector(),
                         PEER_STEPS)]  # fmt: skip
     if rounds.have("jax"):
-        with contextlib.redirect_stderr(io.StringIO()):
+        with rounds.hushed():
             found.append(rounds.Way("Minari DataCollector", "peer", collector(), PEER_STEPS))
     return found
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.metadata
+import io
 import json
 import multiprocessing
 import os
@@ -19,8 +20,9 @@ import platform
 import statistics
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -165,6 +167,15 @@ def scratch() -> Path:
     folder = ROOT / "build"
     folder.mkdir(exist_ok=True)
     return folder
+
+
+@contextmanager
+def hushed() -> Iterator[None]:
+    """Without what other packages say while they are set up."""
+    nowhere = io.StringIO()
+    with warnings.catch_warnings(), redirect_stdout(nowhere), redirect_stderr(nowhere):
+        warnings.simplefilter("ignore")
+        yield
 
 
 def have(package: str) -> bool:

@@ -92,6 +92,10 @@ def minari_buffers(work: Path, episodes: list[Any]) -> Callable[[], None]:
     actions = spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
     def run() -> None:
+        with rounds.hushed():
+            again()
+
+    def again() -> None:
         buffers = [
             EpisodeBuffer(id=i, observations=e.observations, actions=e.actions, rewards=e.rewards,
                           terminations=e.terminations, truncations=e.truncations,

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from mpdt.data.episode import QUALITY_CODES
-from mpdt.data.slices.windows import WindowBatch, gather_windows, reward_returns
+from mpdt.data.slices.windows import RewardReturns, WindowBatch, gather_windows
 from mpdt.data.spec.goals import GoalSet
 from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.data.store.reader import Dataset, open_dataset, parse_ref
@@ -192,7 +192,7 @@ def sample_demonstrations(
         starts.append(generator.integers(lengths[episodes[-1]] - steps + 1))
     return gather_windows(
         dataset, np.stack(episodes), np.stack(starts), steps,
-        reward_returns(dataset, dataset.steps.rewards),
+        RewardReturns(dataset, dataset.steps.rewards),
     )  # fmt: skip
 
 

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mpdt.data.slices.sampler import WindowSampler
-from mpdt.data.slices.windows import cover, gather_windows, reward_returns
+from mpdt.data.slices.windows import RewardReturns, cover, gather_windows
 
-HORIZON = 12
+HORIZON = 40  # several of the sums that `RewardReturns` keeps
 
 
 def slow_returns_to_go(rewards):
@@ -76,7 +76,7 @@ def test_gather_equals_its_slow_twin(lengths, K, seed, data):
     source = make_source(lengths, seed)
     ids = np.array([[data.draw(st.integers(0, len(lengths) - 1)) for _ in range(3)]])
     starts = np.array([[data.draw(st.integers(0, lengths[i] - 1)) for i in ids[0]]])
-    fast = gather_windows(source, ids, starts, K, reward_returns(source, source.steps.rewards))
+    fast = gather_windows(source, ids, starts, K, RewardReturns(source, source.steps.rewards))
     for m in range(3):
         slow = slow_window(source, source.steps.rewards, ids[0, m], int(starts[0, m]), K)
         columns = (fast.observations, fast.previous_actions, fast.actions,
@@ -121,7 +121,7 @@ def test_cover_holds_each_step_exactly_once(lengths, K):
     order = np.arange(len(lengths))
     ids, starts = cover(source.episodes.length, order, K)
     batch = gather_windows(source, ids[None], starts[None], K,
-                           reward_returns(source, source.steps.rewards))  # fmt: skip
+                           RewardReturns(source, source.steps.rewards))  # fmt: skip
     seen = sorted(
         (int(i), int(t))
         for i, steps, mask in zip(ids, batch.timesteps[0], batch.mask[0], strict=True)

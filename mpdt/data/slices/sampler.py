@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from mpdt.data.slices.windows import (
     EpisodeColumns,
+    RewardReturns,
     StepColumns,
     WindowBatch,
     gather_windows,
-    reward_returns,
 )
 from mpdt.errors import DataError, UsageError
 
@@ -97,8 +97,8 @@ class WindowSampler:
         self.start_bias, self.order = start_bias, order
         self.num_slots = min(tasks_per_update or len(tasks), len(tasks))
         self._dataset = dataset
-        self._returns = reward_returns(dataset, dataset.steps.rewards)
-        self._ids, self._ends, self._lengths = [], [], []
+        self._returns = RewardReturns(dataset, dataset.steps.rewards)
+        self._tables = []
         lengths = np.asarray(dataset.episodes.length, np.int64)
         for task in tasks:
             ids = np.asarray(episode_ids.get(task, ()), np.int64)
@@ -108,9 +108,7 @@ class WindowSampler:
                     where=f"task row {task}",
                     hint="mpdt-data show FILE --tasks lists what each task has",
                 )
-            self._ids.append(ids)
-            self._lengths.append(lengths[ids])
-            self._ends.append(np.cumsum(lengths[ids]))
+            self._tables.append(_Table(ids, lengths[ids]))
 
     def batch(self, step: int) -> WindowBatch:
         """The windows of update `step`: (n, M, K, ...), the same on every call."""
@@ -119,17 +117,13 @@ class WindowSampler:
         episodes = np.empty((len(slots), self.per_task), np.int64)
         starts = np.empty_like(episodes)
         for row, slot in enumerate(slots):
-            ends = self._ends[slot]
-            # A uniform step of all the task's steps lies in episode i with chance ∝ length i.
-            picks = np.searchsorted(
-                ends, generator.integers(ends[-1], size=self.per_task), side="right"
+            episodes[row], starts[row] = self._tables[slot].draw(
+                generator, self.per_task, self.start_bias
             )
-            episodes[row] = self._ids[slot][picks]
-            lowest = np.full(self.per_task, -self.start_bias)
-            starts[row] = np.maximum(generator.integers(lowest, self._lengths[slot][picks]), 0)
         return gather_windows(
-            self._dataset, episodes, starts, self.window, self._returns, self.tasks[slots], slots
-        )
+            self._dataset, episodes, np.maximum(starts, 0), self.window, self._returns,
+            self.tasks[slots], slots,
+        )  # fmt: skip
 
     def _slots(self, step: int, generator: np.random.Generator) -> NDArray[np.int64]:
         """Ascending positions of the tasks of this update."""
@@ -139,3 +133,25 @@ class WindowSampler:
         if self.order == "sequential":
             return np.sort((step * n + np.arange(n)) % total)
         return np.sort(generator.choice(total, size=n, replace=False))
+
+
+class _Table:
+    """The episodes of one task: ids (E,) and lengths (E,)."""
+
+    def __init__(self, ids: NDArray[np.int64], lengths: NDArray[np.int64]) -> None:
+        self._ids, self._lengths, self._ends = ids, lengths, np.cumsum(lengths)
+        self._num_steps = int(self._ends[-1])
+        self._common = int(lengths[0]) if (lengths == lengths[0]).all() else 0
+
+    def draw(
+        self, generator: np.random.Generator, count: int, start_bias: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Episodes (count,) and starts (count,), of which negative ones mean 0."""
+        # A uniform step of all the task's steps lies in episode i with chance ∝ length i.
+        steps = generator.integers(self._num_steps, size=count)
+        if self._common:  # the same numbers as below, in a third of the time
+            starts = generator.integers(-start_bias, self._common, size=count)
+            return self._ids[steps // self._common], starts
+        picks = np.searchsorted(self._ends, steps, side="right")
+        lowest = np.full(count, -start_bias)
+        return self._ids[picks], generator.integers(lowest, self._lengths[picks])

@@ -27,7 +27,10 @@ from mpdt.errors import ShapeError
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float32]
 Returns = Callable[[Ids, Ids], Floats]
-"""(episode ids (n, M), steps (n, M, K)) -> returns-to-go (n, M, K), raw reward units."""
+"""(episode ids (n, M), ascending steps (n, M, K)) -> returns-to-go (n, M, K), reward units."""
+
+SUM_EVERY = 16
+"""Steps between two sums that `RewardReturns` keeps."""
 
 
 class StepColumns(Protocol):
@@ -115,9 +118,9 @@ def gather_windows(
     actions, observations = source.steps.actions, source.steps.observations
     n = len(episodes)
     return WindowBatch(
-        observations=_masked(observations[row_of_obs], mask),
-        previous_actions=_masked(actions[np.maximum(row_of_step - 1, 0)], has_previous),
-        actions=_masked(actions[row_of_step], mask),
+        observations=_rows(observations, row_of_obs, mask),
+        previous_actions=_rows(actions, np.maximum(row_of_step - 1, 0), has_previous),
+        actions=_rows(actions, row_of_step, mask),
         returns_to_go=np.where(mask, returns(episodes, step), np.float32(0)),
         timesteps=np.where(mask, step, 0),
         mask=mask,
@@ -128,20 +131,52 @@ def gather_windows(
     )
 
 
-def reward_returns(source: WindowSource, rewards: NDArray[Any]) -> Returns:
-    """Suffix sums of the rewards: what training sees. Summed in float64 from the episode's end."""
+class RewardReturns:
+    """`Returns` of the data: suffix sums of the rewards, what training sees.
 
-    def returns(episodes: Ids, steps: Ids) -> Floats:
-        start = np.asarray(source.episodes.start, np.int64)[episodes][..., None]
-        last = np.asarray(source.episodes.length, np.int64)[episodes][..., None] - 1
-        first = steps.min(axis=-1, keepdims=True)
-        back = np.arange(int((last - first).max()) + 1)  # 0 = the last step of the episode
-        inside = last - back >= first
-        tail = np.where(inside, rewards[start + np.maximum(last - back, 0)], 0.0)
-        sums = np.cumsum(tail, axis=-1, dtype=np.float64)
-        return np.take_along_axis(sums, last - steps, axis=-1).astype(np.float32)
+        back     T-1  ...  2S  ...  S  ...  1   0      steps from the episode's end
+        kept                x       x                  sums of all that lies behind, float64
 
-    return returns
+    Summed one after another from the episode's end, in float64. The sums at every S-th step are
+    kept once an episode has been seen, so a window adds up at most S + K rewards and not the
+    whole rest of its episode: the same additions in the same order, hence the same bits. Kept
+    are T / S numbers per episode, about as much as its row of the table.
+    """
+
+    def __init__(self, source: WindowSource, rewards: NDArray[Any]) -> None:
+        self._start = np.asarray(source.episodes.start, np.int64)
+        self._length = np.asarray(source.episodes.length, np.int64)
+        self._rewards = np.asarray(rewards)
+        places = -(-self._length // SUM_EVERY)
+        self._place = np.cumsum(places) - places
+        self._sums = np.zeros(int(places.sum()))
+        self._seen = np.zeros(len(self._length), np.bool_)
+
+    def __call__(self, episodes: Ids, steps: Ids) -> Floats:
+        if not self._seen[episodes].all():
+            for episode in np.unique(episodes[~self._seen[episodes]]):
+                self._sum_up(int(episode))
+        start, last = self._start[episodes], self._length[episodes] - 1
+        kept = (last - steps[..., -1]) // SUM_EVERY
+        back = np.arange(SUM_EVERY + steps.shape[-1]) + (kept * SUM_EVERY)[..., None]
+        inside = last[..., None] - back
+        # Rewards before the window are added last and never looked at.
+        tail = self._rewards.take(start[..., None] + np.maximum(inside, 0))
+        sums = np.empty((*tail.shape[:-1], tail.shape[-1] + 1))
+        sums[..., 0], sums[..., 1:] = self._sums[self._place[episodes] + kept], tail
+        np.cumsum(sums, axis=-1, out=sums)
+        at = last[..., None] - steps - (kept * SUM_EVERY)[..., None] + 1
+        return np.take_along_axis(sums, at, axis=-1).astype(np.float32)
+
+    def _sum_up(self, episode: int) -> None:
+        start, length = int(self._start[episode]), int(self._length[episode])
+        backwards = self._rewards[start : start + length][::-1]
+        sums = np.cumsum(backwards, dtype=np.float64)
+        at = int(self._place[episode])
+        # Nothing lies behind the last step; -0.0 is what adds nothing to either zero.
+        self._sums[at] = -0.0
+        self._sums[at + 1 : at + -(-length // SUM_EVERY)] = sums[SUM_EVERY - 1 : -1 : SUM_EVERY]
+        self._seen[episode] = True
 
 
 def constant_returns(preset: NDArray[Any]) -> Returns:
@@ -183,7 +218,9 @@ def cover(lengths: NDArray[Any], episodes: Ids, window: int) -> tuple[Ids, Ids]:
     return ids, (np.arange(len(ids)) - first) * window
 
 
-def _masked(values: NDArray[Any], mask: NDArray[np.bool_]) -> Floats:
-    """Zeros where the mask is False; the copy also drops the memmap subclass."""
-    kept = np.where(mask[..., None], values, np.float32(0))
+def _rows(values: NDArray[Any], rows: Ids, mask: NDArray[np.bool_]) -> Floats:
+    """A copy of the rows, zeros where the mask is False."""
+    # `take` of a plain array: indexing a memmap makes and checks one more subclass.
+    kept = np.asarray(values).take(rows, axis=0)
+    kept[~mask] = 0
     return np.asarray(kept, dtype=np.float32)

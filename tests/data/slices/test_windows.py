@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 from mpdt.data.slices.windows import (
+    RewardReturns,
     constant_returns,
     cover,
     decreasing_returns,
     gather_windows,
-    reward_returns,
 )
 from mpdt.errors import ShapeError
 
@@ -38,7 +38,7 @@ SOURCE = SimpleNamespace(
 
 
 def gather(episodes, starts, window, returns=None):
-    returns = returns or reward_returns(SOURCE, REWARDS)
+    returns = returns or RewardReturns(SOURCE, REWARDS)
     return gather_windows(SOURCE, np.array(episodes), np.array(starts), window, returns)
 
 
