@@ -110,7 +110,8 @@ def collector(name: str) -> Callable[[], float]:
     # Its own observation space is left out: hidden goals and rounded bounds fail the check.
     env.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (39,), np.float64)
     env.unwrapped.spec = gymnasium.envs.registration.EnvSpec(
-        "Bench-v0", entry_point="mpdt.data.sim.gym:make", kwargs={"family": "mt50", "task": name})  # fmt: skip
+        "Bench-v0", entry_point="mpdt.data.sim.gym:make", kwargs={"family": "mt50", "task": name}
+    )
     wrapped = minari.DataCollector(env)
 
     def run() -> float:

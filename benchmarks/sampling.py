@@ -160,8 +160,16 @@ def minari_sample(work: Path, dataset: Any, windows: int) -> Callable[[], float]
     shapes = dataset.observation_size, dataset.action_size
     boxes = [spaces.Box(-np.inf, np.inf, (n,), np.float32) for n in shapes]
     stored = minari.create_dataset_from_buffers(
-        "bench/windows-v0", buffers, observation_space=boxes[0], action_space=boxes[1],
-        algorithm_name="x", author="x", author_email="x", code_permalink="x", description="x")  # fmt: skip
+        "bench/windows-v0",
+        buffers,
+        observation_space=boxes[0],
+        action_space=boxes[1],
+        algorithm_name="x",
+        author="x",
+        author_email="x",
+        code_permalink="x",
+        description="x",
+    )
     generator = np.random.default_rng(0)
 
     def run() -> float:

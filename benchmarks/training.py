@@ -52,7 +52,8 @@ class Update:
             self.backbone, inputs, HeadSettings(hidden=256), stats["mean"], stats["std"],
             dataset.action_size)  # fmt: skip
         self.prompts = DecomposedPrompts(
-            PromptSettings(length=PROMPT), TASKS, self.backbone.width, self.backbone.spread, 0)  # fmt: skip
+            PromptSettings(length=PROMPT), TASKS, self.backbone.width, self.backbone.spread, 0
+        )
         one = torch.ones(TASKS)
         self.returns = ReturnTable(scale=one, low=0 * one, high=one, target=one)
         self.settings = OptimiserSettings()
@@ -119,8 +120,10 @@ def decision_transformer(dataset: Any, ours: Update) -> Callable[[], None]:
     def run() -> None:
         nonlocal step
         batch = as_batch(ours.sampler.batch(step))
-        flat = {name: getattr(batch, name).flatten(0, 1)
-                for name in ("observations", "actions", "returns_to_go", "timesteps", "mask")}  # fmt: skip
+        flat = {
+            name: getattr(batch, name).flatten(0, 1)
+            for name in ("observations", "actions", "returns_to_go", "timesteps", "mask")
+        }
         found = model(
             states=flat["observations"], actions=flat["actions"],
             rewards=flat["returns_to_go"][..., None], timesteps=flat["timesteps"],
