@@ -182,17 +182,28 @@ def _study(command: Study) -> int:
 
 def _report(command: Report) -> int:
     from mpdt.train.show import print_results, read_results
-    from mpdt.train.summary import is_study, print_study
+    from mpdt.train.summary import is_study, print_study, read_cells
 
     if is_study(command.folder):
         print_study(command.folder, command.output, command.json)
-    else:
-        print_results(read_results(command.folder), command.json)
-        weights = command.folder / "weights.safetensors"
-        if command.output is not None and weights.exists():
-            from mpdt.train.plots import plot_prompts
+        if command.html is not None:
+            from mpdt.train.page import study_content, write_result
 
-            plot_prompts(weights, command.output)
+            write_result(
+                command.html, study_content(read_cells(command.folder), command.folder.name)
+            )
+        return 0
+    results = read_results(command.folder)
+    print_results(results, command.json)
+    weights = command.folder / "weights.safetensors"
+    if command.output is not None and weights.exists():
+        from mpdt.train.plots import plot_prompts
+
+        plot_prompts(weights, command.output)
+    if command.html is not None:
+        from mpdt.train.page import run_content, write_result
+
+        write_result(command.html, run_content(results, command.folder))
     return 0
 
 

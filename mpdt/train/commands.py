@@ -121,6 +121,8 @@ class Report:
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write tables.md, tables.csv and plots of a study there, or the maps of a run's prompts
     (plots need the extra `docs`)."""
+    html: Path | None = None
+    """Write one page with tables, bars, curves and maps of prompts there; it needs no network."""
     json: bool = False
     """Print results.json instead of tables."""
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False

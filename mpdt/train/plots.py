@@ -12,13 +12,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from mpdt.train.maps import prompt_maps
 from mpdt.train.results import CONSTANT, MEAN, RANDOM, ZERO, Score
 
 if TYPE_CHECKING:
     from mpdt.train.summary import CellResult
 
 _log = logging.getLogger(__name__)
-MAPS = 10  # task prompts drawn, as in the rebuttal
 
 
 def plot_study(cells: Sequence[CellResult], folder: Path) -> list[Path]:
@@ -33,19 +35,15 @@ def plot_study(cells: Sequence[CellResult], folder: Path) -> list[Path]:
 
 def plot_prompts(weights: Path, folder: Path) -> list[Path]:
     """P_c and the first P_k of a trained run as maps (l, s); nothing for prompts of other kinds."""
-    from mpdt.model.weights import load_weights
-
-    _, tensors = load_weights(weights, kind="mpdt")
-    if "prompts.task_v" not in tensors:
+    maps = prompt_maps(weights)
+    if not maps:
         return []
-    parts = tensors["prompts.task_v"][:MAPS] @ tensors["prompts.task_u"][:MAPS]
-    maps = {"P_c": tensors["prompts.cross"]} | {f"P_{k}": part for k, part in enumerate(parts)}
 
     def draw(figure: Any) -> None:
         for axes, (name, values) in zip(
             figure.subplots(len(maps), 1, sharex=True), maps.items(), strict=True
         ):
-            size = float(values.abs().quantile(0.99))
+            size = float(np.quantile(np.abs(values), 0.99))
             axes.imshow(values, aspect="auto", cmap="RdBu", vmin=-size, vmax=size)
             axes.set_ylabel(name)
 

@@ -20,7 +20,8 @@ WIDTH = 340
 PLOT_HEIGHT = 150
 TOP, RIGHT, BOTTOM, LEFT = 8, 12, 34, 50
 ROW = 15  # height of one row of a chart of rows
-LETTER = 5.4  # width of a letter of row names, roughly
+LETTER = 6.2  # width of a letter of row names, roughly
+NAME = 22  # letters of a row name that are shown; the rest when pointed at
 LARGEST = 1e300  # files may hold anything; the span of an axis stays finite
 
 Floats = npt.NDArray[np.float64]
@@ -141,7 +142,7 @@ class Chart:
     def left(self) -> float:
         if not self.row_names:
             return LEFT
-        return min(130.0, 14 + LETTER * max(map(len, self.row_names)))
+        return 14 + LETTER * min(NAME, max(map(len, self.row_names)))
 
     @property
     def width(self) -> float:

@@ -26,6 +26,7 @@ from mpdt.data.spec.tasks import FAMILIES
 BINS = 24
 ROWS = 25  # tasks in one overview chart
 ACTION_EPISODES = 100  # of each quality; spread evenly, so that a card takes seconds
+PROGRESS = "progress of who acted: 0 untrained, 1 final"
 LEVELS = (-1.0, 2.0)  # normalised returns beyond stand at the edge
 YARDSTICK_KEYS = {"zero": "zero action", "constant": "best constant action"}
 
@@ -49,14 +50,13 @@ def overviews(facts: Facts) -> list[Chart]:
 
 
 def _levels(task: TaskFacts) -> list[Dot]:
-    found = []
-    for name, words in YARDSTICK_KEYS.items():
-        value = task.level(task.references[name].mean)
-        found.append(Dot(name, value, told=f"{task.name}, {words}: {value:.2f}"))
-    for quality, group in task.groups.items():
-        value = task.level(group.mean)
-        found.append(Dot(quality, value, told=f"{task.name}, {quality}: {value:.2f}"))
-    return found
+    """Yardsticks last: rings around the dots they lie on."""
+    found = [(quality, quality, group.mean) for quality, group in task.groups.items()]
+    found += [(name, words, task.references[name].mean) for name, words in YARDSTICK_KEYS.items()]
+    return [
+        Dot(key, task.level(mean), told=f"{task.name}, {words}: {task.level(mean):.2f}")
+        for key, words, mean in found
+    ]
 
 
 def returns_chart(task: TaskFacts) -> Chart:
@@ -109,7 +109,7 @@ def ladder_chart(task: TaskFacts) -> Chart | None:
             told = f"{quality}: {other.mean:,.1f}"
             marks.append(Mark("dots", quality, np.array([[place, other.mean]]), told))
             ends.append(other.mean)
-    return Chart(f"{task.name}: ladder", Axis(0.0, 1.0, "training progress"),
+    return Chart(f"{task.name}: ladder", Axis(0.0, 1.0, PROGRESS),
                  axis_over(ends, "return"), tuple(marks))  # fmt: skip
 
 
@@ -133,7 +133,7 @@ def ladders_chart(facts: Facts) -> Chart | None:
     axis = axis_over([0.0, 1.0, *(y for mark in lines for y in mark.points[:, 1])], "normalised")
     axis = Axis(max(axis.low, LEVELS[0]), min(axis.high, LEVELS[1]), axis.label)
     marks = (*lines, line("history", np.array(places), middle, "median of the tasks"))
-    return Chart("ladders of all tasks", Axis(0.0, 1.0, "training progress"), axis, marks)
+    return Chart("ladders of all tasks", Axis(0.0, 1.0, PROGRESS), axis, marks)
 
 
 def lengths_chart(facts: Facts) -> Chart | None:

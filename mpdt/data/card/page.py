@@ -30,7 +30,8 @@ def render(template: str, package: str = TEMPLATES, **values: Any) -> str:
         loader=ChoiceLoader(loaders), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.globals |= {"top": chart.TOP, "right": chart.RIGHT, "corners": _corners}
+    environment.globals |= {"top": chart.TOP, "right": chart.RIGHT, "letters": chart.NAME,
+                            "corners": _corners}  # fmt: skip
     environment.filters |= {"number": number, "shorten": shorten, "picture": picture}
     return environment.get_template(template).render(values)
 
@@ -53,10 +54,10 @@ def shorten(text: str, most: int) -> str:
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
-def picture(pixels: npt.NDArray[np.uint8]) -> str:
+def picture(pixels: npt.NDArray[np.uint8], lossless: bool = False) -> str:
     """(H, W, 3) as a `data:` address."""
     stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "WEBP", quality=82, method=4)
+    Image.fromarray(pixels).save(stream, "WEBP", quality=82, method=4, lossless=lossless)
     return "data:image/webp;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
 
 

@@ -36,7 +36,7 @@ class Report(Options):
     """Page to write; default FILE with .html at its end."""
     film: Names = ()
     """Tasks of which an expert and a random episode are drawn, or all, or none; default the
-    first."""
+    first test task."""
     no_verify: bool = False
     """Leave the checks out; they take longest."""
     replay: Annotated[str, arg(metavar="2%|N|all")] = "2%"
@@ -80,7 +80,8 @@ class Report(Options):
         if names == ("none",):
             return []
         if not names:
-            tasks = sorted(tasks, key=lambda task: not set(FILMED) <= set(task.groups))[:1]
+            complete = [task for task in tasks if set(FILMED) <= set(task.groups)] or tasks
+            tasks = sorted(complete, key=lambda task: task.role == "train")[:1]
         elif names != ("all",):
             rows = [facts.data.task_row(name) for name in names]
             tasks = [task for task in tasks if task.row in rows]

@@ -1,0 +1,75 @@
+"""Charts of results: a bar per method with its interval, losses over updates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mpdt.data.card.chart import Chart, Dot, Mark, axis_over, line, row_chart
+from mpdt.train.results import CONSTANT, EXPERT, RANDOM, ZERO, Score
+
+COLOURS = 10
+KNOWN = {ZERO: "zero", RANDOM: "random", CONSTANT: "constant", EXPERT: "expert"}
+"""References keep the colours they have in data cards."""
+Points = Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Charts that share a legend."""
+
+    title: str
+    told: str
+    charts: Sequence[Chart]
+    legend: Sequence[tuple[str, str]] = ()
+
+
+def colours(methods: Iterable[str]) -> dict[str, str]:
+    """CSS key of each method."""
+    names = list(dict.fromkeys(methods))
+    own = [name for name in names if name not in KNOWN]
+    return {name: KNOWN.get(name) or f"c{own.index(name) % COLOURS}" for name in names}
+
+
+def bars(title: str, scores: Sequence[Score], keys: Mapping[str, str]) -> list[Chart]:
+    """Return of every method with its interval; nothing where none was measured."""
+    rows = [
+        (score.method, [Dot(keys[score.method], score.mean, score.low, score.high, _told(score))])
+        for score in scores if math.isfinite(score.mean)
+    ]  # fmt: skip
+    ends = [end for _, (dot,) in rows for end in (dot.value, dot.low, dot.high)]
+    return [row_chart(title, rows, axis_over([0.0, *ends], title), bars=True)] if rows else []
+
+
+def _told(score: Score) -> str:
+    text = f"{score.method}: {score.mean:,.1f}"
+    if math.isfinite(score.low + score.high):
+        text += f" [{score.low:,.1f}, {score.high:,.1f}]"
+    return text if score.success is None else f"{text}, success {score.success:.0%}"
+
+
+def adaptation_chart(start: str, points: Sequence[tuple[float, list[float]]]) -> Chart:
+    steps = [step for step, _ in points]
+    losses = np.array([losses for _, losses in points], np.float64)  # (points, tasks)
+    marks = [line("thin", steps, own) for own in losses.T]
+    marks.append(line("c0", steps, losses.mean(axis=1), start))
+    return _loss_chart(f"from {start}", marks)
+
+
+def loss_curves(title: str, told: str, lines: Sequence[tuple[str, Points]]) -> Curves:
+    keys = colours(name for name, _ in lines)
+    marks = [
+        line(keys[name], [step for step, _ in points], [loss for _, loss in points], name)
+        for name, points in lines
+    ]
+    return Curves(title, told, [_loss_chart("", marks)], [(k, m) for m, k in keys.items()])
+
+
+def _loss_chart(name: str, marks: Sequence[Mark]) -> Chart:
+    points = np.concatenate([mark.points for mark in marks])
+    label = f"updates, {name}" if name else "updates"
+    return Chart(f"loss {name}".strip(), axis_over([0.0, *points[:, 0].tolist()], label),
+                 axis_over(points[:, 1].tolist(), "loss", is_log=True), tuple(marks))  # fmt: skip
