@@ -27,22 +27,21 @@ def commit(place: Place, files: Mapping[str, Path], list_path: str, listed: byte
     if not place.address.startswith("hf://datasets/"):
         raise UsageError("not a dataset repository", where=place.address,
                          expected="hf://datasets/OWNER/NAME[/PATH]")  # fmt: skip
+    contents: dict[str, Path | bytes] = {**files, list_path: listed}
     with place.told():
-        target = place.fs.resolve_path(list_path)
-        contents: dict[str, Path | bytes] = {**files, list_path: listed}
-        operations = [
-            CommitOperationAdd(place.fs.resolve_path(path).path_in_repo, content)
-            for path, content in contents.items()
-        ]
         try:
-            HfApi().create_commit(
+            target = place.fs.resolve_path(list_path)
+            operations = [
+                CommitOperationAdd(place.fs.resolve_path(path).path_in_repo, content)
+                for path, content in contents.items()
+            ]
+            HfApi(place.fs.endpoint, place.fs.token).create_commit(
                 target.repo_id, operations, repo_type=target.repo_type, revision=target.revision,
                 commit_message=f"{len(files)} file{'s' * (len(files) != 1)} from mpdt-data push",
             )  # fmt: skip
-        except RepositoryNotFoundError:
-            create = f"hf repo create {target.repo_id} --repo-type {target.repo_type}"
-            raise UsageError(
-                "no such repository, or none that you may write to",
-                where=place.address, hint=f"{create}; --private if it is not for all",
-            ) from None  # fmt: skip
+        except (RepositoryNotFoundError, FileNotFoundError):
+            raise UsageError("no such repository, or none that you may write to",
+                             where=place.address,
+                             hint="hf repo create OWNER/NAME --repo-type dataset; --private if "
+                                  "it is not for all") from None  # fmt: skip
     return sum(path.stat().st_size for path in files.values())

@@ -53,15 +53,24 @@ class Place:
         self.close()
 
     def close(self) -> None:
-        """Only SFTP keeps a connection that has to be closed."""
-        if hasattr(self.fs, "client"):
+        """Close what its library leaves open."""
+        if self.fs is None:
+            return
+        if self.protocol in ("sftp", "ssh"):
             self.fs.client.close()
+        elif self.protocol in ("webdav", "webdavs"):
+            self.fs.client.http.close()
 
     def reconnect(self) -> None:
         """Connect, with nothing left of an earlier connection."""
         self.close()
         with self.told(connecting=True):
             options: dict[str, Any] = {"skip_instance_cache": True}
+            if self.protocol in ("webdav", "webdavs"):  # webdav4 does not read URLs
+                host, _, self.path = self._url.partition("://")[2].partition("/")
+                scheme = self.protocol.replace("webdav", "http")
+                self.fs = fsspec.filesystem("webdav", base_url=f"{scheme}://{host}", **options)
+                return
             if self.protocol in ("sftp", "ssh"):
                 from mpdt.data.remote.ssh import known_hosts_only
 
@@ -148,7 +157,7 @@ class Place:
         """In one step where the protocol has one; what was at `new` is gone."""
         with self.told():
             if self.protocol in ("webdav", "webdavs"):
-                self.fs.mv(old, new, overwrite=True)
+                self.fs.client.move(old, new, overwrite=True)  # its mv refuses to
             else:
                 self.fs.mv(old, new)
 
@@ -166,19 +175,15 @@ class Place:
             yield
         except MpdtError:
             raise
-        except (FileNotFoundError, NotADirectoryError) as error:
-            cause = error.__cause__  # fsspec's HTTP says this of whatever happened
-            gone = getattr(cause, "status", None) in (404, 410)
-            if cause is None or gone or isinstance(cause, FileNotFoundError):
-                raise MissingFileError("no such file", where=self.address) from None
-            raise _refusal(self.address, self._words(cause), cause) from None
         except ImportError as error:
             raise _missing_package(self.address, self.protocol, error) from None
         except Exception as error:  # noqa: BLE001  the libraries share no base class
             if connecting and isinstance(error, ValueError) and "not known" in str(error):
                 raise unknown_name("protocol", self.protocol, known_implementations,
                                    where=self.address) from None  # fmt: skip
-            raise _refusal(self.address, self._words(error), error) from None
+            if _is_absence(error):
+                raise MissingFileError("no such file", where=self.address) from None
+            raise _refusal(self.address, self._words(error.__cause__ or error), error) from None
 
     def _words(self, error: BaseException) -> str:
         text = without_secrets(str(error), self._url).strip()
@@ -194,12 +199,32 @@ def _missing_package(address: str, protocol: str, error: ImportError) -> MpdtErr
                            "http and s3")  # fmt: skip
 
 
-def _refusal(address: str, words: str, error: BaseException) -> MpdtError:
-    status = getattr(error, "status", None) or getattr(error, "status_code", None)
-    kind = type(error).__name__
-    if isinstance(error, PermissionError) or "Authentication" in kind or status in (401, 403):
+def _status(error: BaseException | None) -> int | None:
+    """Of an HTTP answer, in the ways of aiohttp, requests and httpx."""
+    answer = getattr(error, "response", error)
+    found = getattr(answer, "status", None) or getattr(answer, "status_code", None)
+    return found if isinstance(found, int) else None
+
+
+def _is_absence(error: Exception) -> bool:
+    """Whether the other side said that there is no such file.
+
+    fsspec's HTTP raises FileNotFoundError whatever went wrong; its cause tells.
+    """
+    cause = error.__cause__
+    if _status(error) in (404, 410) or _status(cause) in (404, 410):
+        return True
+    if "ResourceNotFound" in {type(error).__name__, type(cause).__name__}:  # webdav4's
+        return True
+    missing = (FileNotFoundError, NotADirectoryError)
+    return isinstance(error, missing) and (cause is None or isinstance(cause, missing))
+
+
+def _refusal(address: str, words: str, error: Exception) -> MpdtError:
+    denied = isinstance(error, PermissionError) or "Authentication" in type(error).__name__
+    if denied or {_status(error), _status(error.__cause__)} & {401, 403}:
         return RefusedError("no permission", where=address, found=words,
-                       hint="credentials come from the library's own places, see "
-                            "docs/remote.md")  # fmt: skip
+                            hint="credentials come from the library's own places, see "
+                                 "docs/remote.md")  # fmt: skip
     return RemoteError("cannot be reached, or the connection broke", where=address, found=words,
                        hint="the same command goes on from here")  # fmt: skip
