@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mpdt.data.card.chart import Chart, Dot, Mark, axis_over, line, row_chart
-from mpdt.train.results import CONSTANT, EXPERT, RANDOM, ZERO, Score
+from mpdt.train.results import REFERENCES, Score
 
 COLOURS = 10
-KNOWN = {ZERO: "zero", RANDOM: "random", CONSTANT: "constant", EXPERT: "expert"}
-"""References keep the colours they have in data cards."""
+REFERENCE = "reference"  # CSS key of what was not learnt: grey
 Points = Sequence[tuple[float, float]]
 
 
@@ -30,8 +29,15 @@ class Curves:
 def colours(methods: Iterable[str]) -> dict[str, str]:
     """CSS key of each method."""
     names = list(dict.fromkeys(methods))
-    own = [name for name in names if name not in KNOWN]
-    return {name: KNOWN.get(name) or f"c{own.index(name) % COLOURS}" for name in names}
+    own = [name for name in names if name not in REFERENCES]
+    colour = {name: f"c{place % COLOURS}" for place, name in enumerate(own)}
+    return {name: colour.get(name, REFERENCE) for name in names}
+
+
+def legend(keys: Mapping[str, str]) -> list[tuple[str, str]]:
+    """(key, method) of the methods with a colour of their own, and one for all references."""
+    own = [(key, name) for name, key in keys.items() if key != REFERENCE]
+    return own + [(REFERENCE, "references")] * (len(own) < len(keys))
 
 
 def bars(title: str, scores: Sequence[Score], keys: Mapping[str, str]) -> list[Chart]:
@@ -41,7 +47,7 @@ def bars(title: str, scores: Sequence[Score], keys: Mapping[str, str]) -> list[C
         for score in scores if math.isfinite(score.mean)
     ]  # fmt: skip
     ends = [end for _, (dot,) in rows for end in (dot.value, dot.low, dot.high)]
-    return [row_chart(title, rows, axis_over([0.0, *ends], title), bars=True)] if rows else []
+    return [row_chart(title, rows, axis_over([0.0, *ends], "return"), bars=True)] if rows else []
 
 
 def _told(score: Score) -> str:
@@ -65,7 +71,7 @@ def loss_curves(title: str, told: str, lines: Sequence[tuple[str, Points]]) -> C
         line(keys[name], [step for step, _ in points], [loss for _, loss in points], name)
         for name, points in lines
     ]
-    return Curves(title, told, [_loss_chart("", marks)], [(k, m) for m, k in keys.items()])
+    return Curves(title, told, [_loss_chart("", marks)], legend(keys))
 
 
 def _loss_chart(name: str, marks: Sequence[Mark]) -> Chart:

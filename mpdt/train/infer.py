@@ -168,12 +168,10 @@ class Explanation:
 
     errors (N,): root mean square of (reward - output), the task's own unit.
     weights (N,): >= 0, sum 1, at most `InferSettings.tasks` of them above 0.
-    unexplained: share of the rewards' variance that the weighted outputs miss.
     """
 
     errors: NDArray[np.float64]
     weights: NDArray[np.float64]
-    unexplained: float
 
     def named(self, names: Sequence[str]) -> Mapping[str, float]:
         """The weights above 0 by the names of their tasks."""
@@ -199,8 +197,7 @@ def explain(
     nearest = order[: min(tasks, len(order) - len(banned))]
     weights = np.zeros(len(errors))
     weights[nearest] = convex_fit(outputs[:, nearest], x.rewards)
-    missed = float(np.square(outputs @ weights - x.rewards).mean())
-    return Explanation(errors, weights, missed / max(float(np.var(x.rewards)), 1e-12))
+    return Explanation(errors, weights)
 
 
 def convex_fit(columns: NDArray[np.float64], target: NDArray[Any]) -> NDArray[np.float64]:

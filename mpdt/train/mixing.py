@@ -1,7 +1,7 @@
 """Training tasks that act as if they were unseen, so that mixed prompts are what was trained.
 
-    random episodes of task k  ─>  explained by the other tasks alone: weights w_k, w_kk = 0
-    in `share` of an update's tasks   P_c o sum_j w_kj P_j   stands in for   P_c o P_k
+    random episodes of task k  ─>  explained by pairs of other tasks: weights w, w_k = 0
+    in `share` of an update's tasks   P_c o sum_j w_j P_j   stands in for   P_c o P_k
 
 What `infer` does with an unseen task then happens thousands of times in training, on tasks whose
 expert is known. No test task is read. A task that the others cannot explain, such as one at the
@@ -10,6 +10,7 @@ end of a range, always keeps its own prompt: training it on a neighbour's would 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 
 import msgspec
@@ -18,7 +19,15 @@ import torch
 from torch import Tensor
 
 from mpdt.errors import UsageError
-from mpdt.train.infer import InferSettings, Transitions, explain, fit_reward_model
+from mpdt.train.infer import (
+    InferSettings,
+    RewardModel,
+    Transitions,
+    convex_fit,
+    fit_reward_model,
+)
+
+NEIGHBOURS = 6
 
 
 class MixingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -29,7 +38,7 @@ class MixingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     unexplained: float = 0.05
     """Most of its rewards' variance that the others may leave unexplained."""
     model: InferSettings = InferSettings()
-    """Reward model and number of tasks that are mixed, as in `adapt.infer`."""
+    """Reward model and number of tasks that are mixed together, as in `adapt.infer`."""
 
     def __post_init__(self) -> None:
         for name in ("share", "unexplained"):
@@ -38,22 +47,37 @@ class MixingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
                                  expected="0 to 1", found=str(getattr(self, name)))  # fmt: skip
 
 
-def held_out_weights(
+@torch.no_grad()
+def held_out_mixtures(
     tasks: Sequence[Transitions],
     settings: MixingSettings,
     seed: int,
     on_step: Callable[[int, float], None] | None = None,
-) -> Tensor:
-    """Weights (N, N): row k is how the other tasks explain task k, or a 1 at k itself.
+) -> list[Tensor]:
+    """Per task k the ways in which others explain it: weights (m_k, N), sum 1, nothing at k.
+
+    Of its `NEIGHBOURS` nearest tasks every `model.tasks` are tried together, so that prompts learn
+    to be mixed and not just to be mixed in one way; m_k may be 0.
 
     Args:
         tasks: random episodes of the N training tasks, with rewards.
     """
-    model = fit_reward_model(tasks, settings.model, seed, on_step)
-    weights = np.eye(len(tasks))
-    for k, own in enumerate(tasks):
-        found = explain(model, own, settings.model.tasks, banned=[k])
-        mixes = np.count_nonzero(found.weights) > 1
-        if mixes and found.unexplained <= settings.unexplained:
-            weights[k] = found.weights
-    return torch.from_numpy(weights).to(torch.float32)
+    with torch.enable_grad():
+        model = fit_reward_model(tasks, settings.model, seed, on_step)
+    return [_mixtures(model, own, k, settings) for k, own in enumerate(tasks)]
+
+
+def _mixtures(model: RewardModel, own: Transitions, k: int, settings: MixingSettings) -> Tensor:
+    outputs = model(torch.from_numpy(own.inputs)).double().numpy()
+    errors = np.square(outputs - own.rewards[:, None]).mean(axis=0)
+    nearest = [j for j in np.argsort(errors).tolist() if j != k][:NEIGHBOURS]
+    found = []
+    for chosen in itertools.combinations(sorted(nearest), settings.model.tasks):
+        weights = np.zeros(len(errors))
+        weights[list(chosen)] = convex_fit(outputs[:, chosen], own.rewards)
+        missed = np.square(outputs @ weights - own.rewards).mean()
+        if np.count_nonzero(weights) == len(chosen) > 1 and (
+            missed <= settings.unexplained * np.var(own.rewards)
+        ):
+            found.append(weights)
+    return torch.tensor(np.reshape(found, (-1, len(errors))), dtype=torch.float32)

@@ -19,7 +19,7 @@ import mpdt
 from mpdt.data.card.chart import Chart, Dot, axis_over, row_chart
 from mpdt.data.card.page import picture, render, write_page
 from mpdt.errors import MpdtError
-from mpdt.train.charts import Curves, adaptation_chart, bars, colours, loss_curves
+from mpdt.train.charts import Curves, adaptation_chart, bars, colours, legend, loss_curves
 from mpdt.train.maps import map_pixels, prompt_maps
 from mpdt.train.report import BLOCKS, Table, build_tables
 from mpdt.train.results import MEAN, Block, Score
@@ -114,7 +114,7 @@ def _part(scores: Sequence[Score], tables: tuple[Table, Table]) -> Part:
     tasks = dict.fromkeys(score.task for score in scores if score.task != MEAN)
     overall, means = tables
     return Part(
-        title=means.title, tables=(means, overall), legend=[(k, m) for m, k in keys.items()],
+        title=means.title.partition(": mean over")[0], tables=(means, overall), legend=legend(keys),
         means=bars("mean over tasks", [score for score in scores if score.task == MEAN], keys),
         tasks=[
             chart for task in tasks
@@ -225,4 +225,4 @@ def _study_part(cells: Sequence[CellResult], block: Block, tables: Sequence[Tabl
         chart for task in tasks
         for chart in bars(task, [s for (of, _), s in first.items() if of == task], keys)
     ]  # fmt: skip
-    return Part(tables[0].title, tables, [(k, m) for m, k in keys.items()], drawn, charts)
+    return Part(tables[0].title, tables, legend(keys), drawn, charts)

@@ -27,6 +27,7 @@ Block = Literal["train", "test"]
 MEAN = "mean"
 """Name of the row that averages over the tasks of a block."""
 ZERO, RANDOM, CONSTANT, EXPERT = "zero action", "random", "best constant", "expert"
+REFERENCES = (ZERO, RANDOM, CONSTANT, EXPERT)
 TRIVIAL = (ZERO, RANDOM)
 """Methods that any policy has to beat before it has learnt something."""
 Reads = Literal["nothing", "X", "X+rewards", "labelled steps", "demonstration"]

@@ -40,7 +40,7 @@ from mpdt.train.folder import RunFolder
 from mpdt.train.identity import JUDGING
 from mpdt.train.infer import read_training_tasks
 from mpdt.train.material import Ids, Material, return_table, sample_demonstrations
-from mpdt.train.mixing import held_out_weights
+from mpdt.train.mixing import held_out_mixtures
 from mpdt.train.multitask import Prompts, TaskPrompts, as_batch, fit, make_optimizer
 from mpdt.train.progress import Progress
 from mpdt.train.state import Checkpoint, Stopped, StopRequest, Subject
@@ -185,8 +185,8 @@ class Trainer:
                 "reward model", done, settings.model.steps, f"unexplained {loss:.5f}"
             )
 
-        weights = held_out_weights(read_training_tasks(material), settings, seed, on_step)
-        prompts.mix(weights, settings.share, seed)
+        mixtures = held_out_mixtures(read_training_tasks(material), settings, seed, on_step)
+        prompts.mix(mixtures, settings.share, seed)
 
     def _train_teacher(self, began_s: float) -> int:
         """Phase A into `self.policy` and `self.teacher_prompts`; the updates done."""

@@ -26,11 +26,9 @@ from mpdt.data.replacement import disk
 from mpdt.errors import FormatError
 from mpdt.train.aggregate import iqm, mean, stratified_interval
 from mpdt.train.report import Table, render_markdown, rich_tables
-from mpdt.train.results import CONSTANT, EXPERT, MEAN, RANDOM, ZERO, Block, Score, write_atomic
+from mpdt.train.results import MEAN, REFERENCES, Block, Score, write_atomic
 from mpdt.train.show import WIDTH_WITHOUT_TERMINAL, scores_in
 from mpdt.train.studies import STUDIES
-
-REFERENCES = (ZERO, RANDOM, CONSTANT, EXPERT)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 WIDTH = 340
 PLOT_HEIGHT = 150
-TOP, RIGHT, BOTTOM, LEFT = 8, 12, 34, 50
+TOP, RIGHT, BOTTOM, LEFT = 8, 18, 34, 50
 ROW = 15  # height of one row of a chart of rows
 LETTER = 6.2  # width of a letter of row names, roughly
 NAME = 22  # letters of a row name that are shown; the rest when pointed at
@@ -71,7 +71,12 @@ def _round(low: float, high: float) -> list[float]:
 
 
 def _powers(low: float, high: float) -> list[float]:
-    """1, 2 and 5 times powers of ten; over more than two decades the powers alone."""
+    """1, 2 and 5 times powers of ten; over more than two decades the powers alone.
+
+    Within one decade they would be too few, and round numbers stand instead.
+    """
+    if high / low < 10:
+        return _round(low, high)
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
     factors = (1,) if math.log10(high / low) > 2 else (1, 2, 5)
     every = max(1, round((last - first) / 5))
