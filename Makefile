@@ -1,6 +1,9 @@
 # make demo    set up, then collect cheetah_dir, split it, train, adapt and judge the policy
 # make test    set up, then run the tests
 # make check   lint, types, import arrows
+# make bench   measure every path beside its limit and its peers, under 15 minutes on an idle
+#              machine; writes results/bench/*.json and docs/performance.md. BENCH=--keep skips
+#              scripts whose results are newer than the code
 # make trust   100 kills, 10,000 bit flips, 1,000 mutations, all locked files made again, Ray:
 #              about an hour on two cores; writes results/trust/*.json and docs/trust.md
 # Everything lives in .venv and demo/; both are made on first use and reused.
@@ -10,6 +13,9 @@ BIN := .venv/bin
 # Small matrix products are slower, and with several workers far slower, on many BLAS threads.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+
+BENCHES := starting collecting metaworld_steps storing sampling training acting pretraining \
+  remembering growing
 
 .PHONY: demo test check bench trust clean
 .DELETE_ON_ERROR:
@@ -41,8 +47,21 @@ check: .venv/ready
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: .venv/ready
-	$(BIN)/python benchmarks/collect_rate.py --rounds 7
+# Other packages are measured beside ours, in an environment of their own: d3rlpy pins a gymnasium
+# that ours is not, and jax is needed by Minari's collector alone.
+PEERS := build/peers
+build/peers/bench-ready: pyproject.toml constraints.txt
+	@test -x $(PEERS)/bin/python || $(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/pip install --quiet --disable-pip-version-check -c constraints.txt \
+	  -e '.[behaviour,bench]'
+	$(PEERS)/bin/pip install --quiet --disable-pip-version-check --no-deps d3rlpy==2.8.1
+	@touch $@
+
+bench: build/peers/bench-ready
+	@failed=; for name in $(BENCHES); do \
+	  $(PEERS)/bin/python -W ignore benchmarks/$$name.py $(BENCH) || failed="$$failed $$name"; \
+	done; $(PEERS)/bin/python benchmarks/performance_page.py; \
+	test -z "$$failed" || { echo "error: failed:$$failed" >&2; exit 1; }
 
 trust: .venv/ready
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[ray]'
