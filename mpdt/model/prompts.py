@@ -10,6 +10,7 @@ Source: Zheng et al. 2024 (MPDT), after Wang et al. 2023 (multitask prompt tunin
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import Literal, Protocol
 
 import msgspec
@@ -115,28 +116,32 @@ class DecomposedPrompts(nn.Module):
 class MixedPrompts(DecomposedPrompts):
     """`DecomposedPrompts` whose tasks now and then act with a mixture of other tasks' parts.
 
-        chance `share`:   P_c o sum_j w_kj P_j        else:   P_c o P_k
+        chance `share`:   P_c o sum_j w_j P_j, w one of k's mixtures        else:   P_c o P_k
 
     Drawn anew for each update and task from (seed, step); without `step` tasks have their own.
     """
 
-    _weights: Tensor | None = None
+    _mixtures: Sequence[Tensor] | None = None
 
-    def mix(self, weights: Tensor, share: float, seed: int) -> None:
-        """From now on, with weights (N, N); a row of the unit matrix never mixes."""
-        self._weights, self._share, self._seed = weights, share, seed
+    def mix(self, mixtures: Sequence[Tensor], share: float, seed: int) -> None:
+        """From now on; mixtures: per task k weights (m_k, N). Without any, k never mixes."""
+        self._mixtures, self._share, self._seed = mixtures, share, seed
 
     def task_prompts(self, rows: Tensor | None = None, step: int | None = None) -> Tensor:
         """P*_k (n, l, s) of the tasks `rows` (n,), or of all; mixed if `step` says so."""
-        if self._weights is None or step is None:
+        if self._mixtures is None or step is None:
             return super().task_prompts(rows)
-        chosen = torch.arange(len(self._weights)) if rows is None else rows
+        chosen = range(len(self._mixtures)) if rows is None else rows.tolist()
         words = np.random.SeedSequence([self._seed, step])
-        draws = np.random.Generator(np.random.PCG64(words)).random(len(chosen))
-        mixed = torch.from_numpy(draws < self._share)
-        weights = torch.where(
-            mixed[:, None], self._weights[chosen], torch.eye(len(self._weights))[chosen]
-        )
+        generator = np.random.Generator(np.random.PCG64(words))
+        weights = torch.zeros(len(chosen), len(self._mixtures))
+        for slot, k in enumerate(chosen):
+            mixed, which = generator.random() < self._share, generator.random()
+            ways = self._mixtures[k]
+            if mixed and len(ways):
+                weights[slot] = ways[int(which * len(ways))]
+            else:
+                weights[slot, k] = 1
         return self.cross * torch.einsum("nk,kls->nls", weights, self.task_parts())
 
 

@@ -6,7 +6,7 @@ import torch
 
 from mpdt.errors import UsageError
 from mpdt.train.infer import InferSettings, Transitions
-from mpdt.train.mixing import MixingSettings, held_out_weights
+from mpdt.train.mixing import MixingSettings, held_out_mixtures
 
 SETTINGS = MixingSettings(
     share=0.5, model=InferSettings(hidden=32, steps=600, batch=128, lr=1e-2), unexplained=0.05
@@ -21,24 +21,26 @@ def speeds(goal, seed, num=600):
 
 
 @pytest.fixture(scope="module")
-def weights():
+def mixtures():
     torch.set_num_threads(1)
-    return held_out_weights([speeds(goal, i) for i, goal in enumerate((1, 2, 3))], SETTINGS, 0)
+    tasks = [speeds(goal, i) for i, goal in enumerate((1, 2, 3, 5))]
+    return held_out_mixtures(tasks, SETTINGS, 0)
 
 
-def test_only_the_task_between_two_is_mixed(weights):
-    """2 = half of 1 and half of 3; 1 and 3 lie at the ends and keep their own prompts."""
-    assert weights[0].tolist() == [1, 0, 0] and weights[2].tolist() == [0, 0, 1]
-    assert weights[1, 1] == 0
-    assert weights[1].tolist() == pytest.approx([0.5, 0, 0.5], abs=0.1)
+def test_only_tasks_between_others_are_mixed_and_in_every_way(mixtures):
+    """2 = 1/2 of 1 + 1/2 of 3 = 3/4 of 1 + 1/4 of 5. 3 = 1/2 of 1 + 1/2 of 5 = 2/3 2 + 1/3 5."""
+    assert mixtures[0].shape == (0, 4) and mixtures[3].shape == (0, 4)
+    expected = [[0.5, 0, 0.5, 0], [0.75, 0, 0, 0.25]], [[0.5, 0, 0, 0.5], [0, 2 / 3, 0, 1 / 3]]
+    for found, ways in zip(mixtures[1:3], expected, strict=True):
+        np.testing.assert_allclose(found.numpy(), ways, atol=0.1)
 
 
 def test_a_task_the_others_do_not_explain_keeps_its_prompt():
     """Between the two others on average, but its rewards follow another observation."""
     odd = speeds(2, 7)
     odd = Transitions(odd.inputs, odd.inputs[:, 1] * 4 - 4)
-    found = held_out_weights([speeds(1, 0), odd, speeds(3, 2)], SETTINGS, 0)
-    assert torch.equal(found, torch.eye(3))
+    found = held_out_mixtures([speeds(1, 0), odd, speeds(3, 2)], SETTINGS, 0)
+    assert [len(ways) for ways in found] == [0, 0, 0]
 
 
 def test_settings_out_of_range_are_refused():
