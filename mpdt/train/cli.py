@@ -182,7 +182,8 @@ def _study(command: Study) -> int:
 
 def _report(command: Report) -> int:
     from mpdt.train.show import print_results, read_results
-    from mpdt.train.summary import is_study, print_study, read_cells
+    from mpdt.train.study_report import print_study
+    from mpdt.train.summary import is_study, read_cells
 
     if is_study(command.folder):
         print_study(command.folder, command.output, command.json)

@@ -13,7 +13,6 @@ import csv
 import io
 import json
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,12 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mpdt.data.replacement import disk
 from mpdt.errors import FormatError
 from mpdt.train.aggregate import iqm, mean, stratified_interval
-from mpdt.train.report import Table, render_markdown, rich_tables
-from mpdt.train.results import MEAN, REFERENCES, Block, Score, write_atomic
-from mpdt.train.show import WIDTH_WITHOUT_TERMINAL, scores_in
+from mpdt.train.report import Table
+from mpdt.train.results import MEAN, REFERENCES, Block, Score
+from mpdt.train.show import scores_in
 from mpdt.train.studies import STUDIES
 
 
@@ -178,27 +176,3 @@ def cells_csv(cells: Sequence[CellResult]) -> str:
             rounded = [round(v, 4) if isinstance(v, float) else v for v in values]
             writer.writerow([cell.data, cell.label, cell.seed, *rounded])
     return stream.getvalue()
-
-
-def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
-    """Tables on stdout (or the cells as JSON); with `output` also as files and plots."""
-    cells = read_cells(folder)
-    if as_json:
-        sys.stdout.write(json.dumps([cell.content for cell in cells]) + "\n")
-        return
-    from rich.console import Console
-
-    tables = study_tables(cells, folder.name)
-    width = None if sys.stdout.isatty() else WIDTH_WITHOUT_TERMINAL
-    console = Console(file=sys.stdout, width=width)
-    for table in rich_tables(tables):
-        console.print(table)
-    if output is not None:
-        from mpdt.train.plots import plot_study
-
-        with disk(output):
-            output.mkdir(parents=True, exist_ok=True)
-        markdown = render_markdown({"name": folder.name}, tables)
-        write_atomic(output / "tables.md", markdown.encode())
-        write_atomic(output / "tables.csv", cells_csv(cells).encode())
-        plot_study(cells, output)

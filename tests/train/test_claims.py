@@ -7,6 +7,7 @@ from mpdt.train.claims import CLAIMS, GOALS, Claim, claims_table, goals_table, j
 from mpdt.train.methods import METHODS
 from mpdt.train.results import MEAN, Score
 from mpdt.train.studies import STUDIES
+from mpdt.train.study_report import report_tables
 from mpdt.train.summary import CellResult, Row
 
 
@@ -75,3 +76,10 @@ def test_claims_without_rows_are_not_run(cells):
     table = claims_table(cells)
     assert {line[-1] for line in table.rows} == {"not run"}
     assert len(table.rows) == len(CLAIMS)
+
+
+def test_a_study_of_these_data_begins_with_its_verdicts(cells):
+    titles = [table.title for table in report_tables(cells, "try")]
+    assert titles[:3] == ["Zero-shot goals", "Claims of the paper", "mt10: test tasks"]
+    other = [CellResult("another", "A", 0, cells[0].scores, {})]
+    assert report_tables(other, "try")[0].title == "another: test tasks"
