@@ -19,7 +19,15 @@ import mpdt
 from mpdt.data.card.chart import Chart, Dot, axis_over, row_chart
 from mpdt.data.card.page import picture, render, write_page
 from mpdt.errors import MpdtError
-from mpdt.train.charts import Curves, adaptation_chart, bars, colours, legend, loss_curves
+from mpdt.train.charts import (
+    Curves,
+    adaptation_chart,
+    bars,
+    colours,
+    legend,
+    loss_curves,
+    short_names,
+)
 from mpdt.train.maps import map_pixels, prompt_maps
 from mpdt.train.report import BLOCKS, Table, build_tables
 from mpdt.train.results import MEAN, Block, Score
@@ -208,8 +216,9 @@ def study_content(cells: Sequence[CellResult], name: str) -> Content:
 def _study_part(cells: Sequence[CellResult], block: Block, tables: Sequence[Table]) -> Part:
     rows = summarise(cells, block)
     keys = colours(row.method for row in rows)
+    names = short_names(keys)
     means = [
-        (row.method, [Dot(keys[row.method], row.mean, *row.interval, told=row.method)])
+        (names[row.method], [Dot(keys[row.method], row.mean, *row.interval, told=row.method)])
         for row in rows if math.isfinite(row.mean)
     ]  # fmt: skip
     ends = [end for _, (dot,) in means for end in (dot.value, dot.low, dot.high)]
