@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -58,10 +57,10 @@ def short_names(keys: Mapping[str, str]) -> dict[str, str]:
 
     `MPDT infer`, `MPDT from cross, adapted` -> `infer`, `from cross, adapted`
     """
-    own = [name for name, key in keys.items() if key != REFERENCE]
-    common = os.path.commonprefix(own).rpartition(" ")[0] + " " if len(own) > 1 else " "
-    cut = len(common) if common.strip() and len(set(own)) == len(own) else 0
-    return {name: name if key == REFERENCE else name[cut:] for name, key in keys.items()}
+    own = {name: name.split(" ") for name, key in keys.items() if key != REFERENCE}
+    columns = list(zip(*own.values(), strict=False)) if len(own) > 1 else []
+    shared = next((i for i, words in enumerate(columns) if len(set(words)) > 1), 0)
+    return {name: " ".join(own[name][shared:]) if name in own else name for name in keys}
 
 
 def _told(score: Score) -> str:

@@ -58,7 +58,10 @@ def card_page(
         lock=state, lock_told=lock_told, report=report, summary=summary(findings),
         worst=_worst(findings),
         keys=[(quality, quality) for quality in facts.qualities],
-        yardstick_keys=list(figures.YARDSTICK_KEYS.items()),
+        yardstick_keys=[
+            (name, words) for name, words in figures.YARDSTICK_KEYS.items()
+            if any(task.references[name].is_known for task in facts.tasks)
+        ],
         overviews=figures.overviews(facts), ladders=figures.ladders_chart(facts),
         films=[_film(data, film) for film in films], no_films=no_films,
         tasks=[_task(task) for task in facts.tasks],
