@@ -52,9 +52,9 @@ class Axis:
 
 def axis_over(values: Iterable[float], label: str = "", is_log: bool = False) -> Axis:
     """An axis that holds the finite ones of `values` (on a log axis: the positive ones)."""
-    known = [v for v in values if math.isfinite(v) and (v > 0 or not is_log)]
+    known = [min(max(v, -LARGEST), LARGEST) for v in values if math.isfinite(v)]
+    known = [v for v in known if v > 1 / LARGEST or not is_log]
     low, high = (min(known), max(known)) if known else (1.0, 10.0)
-    low, high = max(low, -LARGEST), min(high, LARGEST)
     if high - low < max(1e-100, 1e-9 * max(abs(low), abs(high))):
         margin = max(0.5, 1e-6 * abs(low))
         low, high = (low / 2, high * 2) if is_log else (low - margin, high + margin)

@@ -25,15 +25,20 @@ TEMPLATES = "mpdt.data.card"
 
 def render(template: str, package: str = TEMPLATES, **values: Any) -> str:
     """The page of a template; `package` is the one whose folder `templates` holds it."""
+    return environment(package).get_template(template).render(values)
+
+
+def environment(package: str = TEMPLATES) -> Environment:
+    """Templates of `package` and of this one, with what they call."""
     loaders = [PackageLoader(name) for name in dict.fromkeys((package, TEMPLATES))]
-    environment = Environment(
+    made = Environment(
         loader=ChoiceLoader(loaders), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.globals |= {"top": chart.TOP, "right": chart.RIGHT, "letters": chart.NAME,
-                            "corners": _corners}  # fmt: skip
-    environment.filters |= {"number": number, "shorten": shorten, "picture": picture}
-    return environment.get_template(template).render(values)
+    made.globals |= {"top": chart.TOP, "right": chart.RIGHT, "letters": chart.NAME,
+                     "corners": _corners}  # fmt: skip
+    made.filters |= {"number": number, "shorten": shorten, "picture": picture}
+    return made
 
 
 def write_page(target: Path, text: str) -> None:
