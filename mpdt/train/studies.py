@@ -98,7 +98,6 @@ _LONG: Mapping[str, Any] = {
     "sampler": {"per_task": 6},
     "optimiser": {"warmup_steps": 50},
     "multitask": {"steps": 3000},
-    "adapt": {"starts": ["infer"]},
 }
 
 _ABLATIONS: tuple[Cell, ...] = (
@@ -119,7 +118,10 @@ STUDIES: Mapping[str, tuple[Cell, ...]] = {
         *(cell for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10")
           for cell in _family(data)),
         *_ABLATIONS,
-        *(_cell(data, "MPDT-no-distillation", _LONG, label="long") for data in ("mt10", "ml10")),
+        _cell("mt10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["infer"]}},
+              label="long"),
+        _cell("ml10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["cross"]}}, _EXPERT,
+              label="long"),
     ),
 }  # fmt: skip
 
