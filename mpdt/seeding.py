@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 UNKNOWN_SEED_KEY = (4294967295,) * 5
 
@@ -64,13 +66,19 @@ class SeedKey:
         return (self.family, self.task, self.quality, self.block, self.row)
 
     def sequence(self, stream: Stream) -> np.random.SeedSequence:
+        import numpy as np  # `mpdt-data list` names seeds and draws nothing
+
         return np.random.SeedSequence(self.seed, spawn_key=(*self.spawn_key, int(stream)))
 
     def generator(self, stream: Stream) -> np.random.Generator:
+        import numpy as np
+
         return np.random.Generator(np.random.PCG64(self.sequence(stream)))
 
     def env_seed(self, stream: Stream = Stream.RESET) -> int:
         """Seed for `env.reset(seed=...)`: first 64-bit word of the stream, shifted to fit int64."""
+        import numpy as np
+
         word = self.sequence(stream).generate_state(1, np.uint64)[0]
         return int(word) >> 1
 

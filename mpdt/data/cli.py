@@ -10,17 +10,21 @@ Exit codes: 0 done or nothing to do, 1 data wrong or disk refused, 2 usage or sp
 from __future__ import annotations
 
 import inspect
+import io
 import os
 import shlex
 import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import redirect_stdout, suppress
+from dataclasses import dataclass
 from itertools import pairwise
 from types import FrameType
-from typing import Annotated, Any, NoReturn, Union
+from typing import Annotated, Any, Literal, NoReturn, Union
 
 import tyro
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg, subcommand
 
 from mpdt.data.remote.address import hide
 from mpdt.data.verbs.adding import Tta
@@ -34,7 +38,7 @@ from mpdt.data.verbs.options import Options
 from mpdt.data.verbs.pages import Report, View
 from mpdt.data.verbs.remote import Pull, Push
 from mpdt.data.verbs.trust import Lock, Verify
-from mpdt.errors import MpdtError, unknown_name
+from mpdt.errors import MpdtError, UsageError, unknown_name
 from mpdt.pipe import reader_may_leave
 
 VERBS: dict[str, type[Options]] = {
@@ -60,6 +64,8 @@ VERBS: dict[str, type[Options]] = {
     "lock": Lock,
     "info": Info,
 }
+PROG = "mpdt-data"
+CONFIG = (FlagCreatePairsOff, OmitArgPrefixes)
 DESCRIPTION = """Make, cut and look at datasets.
 
 Examples:
@@ -100,32 +106,45 @@ def _answer(argv: Sequence[str] | None) -> int:
 
 
 def _parse(words: Sequence[str]) -> Options:
-    if words and not words[0].startswith("-") and words[0] not in VERBS:
-        raise unknown_name("verb", words[0], VERBS, where="mpdt-data")
     if list(words) == ["--version"]:
         from mpdt import __version__
 
         sys.stdout.write(f"mpdt {__version__}\n")
         raise SystemExit(0)
+    if words and words[0] in ("-h", "--help"):
+        sys.stdout.write(overview())
+        raise SystemExit(0)
+    if not words or words[0].startswith("-"):
+        what = f"'{words[0]}' comes before the verb" if words else "no verb"
+        raise UsageError(what, where=PROG, expected="mpdt-data VERB [OPTIONS]",
+                         hint="mpdt-data -h lists the verbs")  # fmt: skip
+    if words[0] not in VERBS:
+        raise unknown_name("verb", words[0], VERBS, where=PROG)
     if "never" in _values_of("--color", words):
         os.environ["NO_COLOR"] = "1"
-    config = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
-    parsed: Options
-    if words and words[0] in VERBS:
-        # Only the verb that was typed: building the parsers of all of them takes a while.
-        verb = VERBS[words[0]]
-        parsed = tyro.cli(
-            verb,
-            args=list(words[1:]),
-            prog=f"mpdt-data {words[0]}",
-            description=inspect.cleandoc(verb.__doc__ or ""),
-            config=config,
-        )
-    else:
-        parsed = tyro.cli(
-            _union(), args=list(words), prog="mpdt-data", description=DESCRIPTION, config=config
-        )
+    # Only the verb that was typed: building the parsers of all of them takes a while.
+    verb = VERBS[words[0]]
+    parsed: Options = tyro.cli(
+        verb,
+        args=list(words[1:]),
+        prog=f"{PROG} {words[0]}",
+        description=inspect.cleandoc(verb.__doc__ or ""),
+        config=CONFIG,
+    )
     return parsed
+
+
+def overview() -> str:
+    """The help of `mpdt-data` itself: every verb with the first line of its docstring."""
+    width = max(map(len, VERBS)) + 2
+    lines = [f"  {name:<{width}}{first_line(verb)}" for name, verb in VERBS.items()]
+    usage = f"usage: {PROG} VERB [OPTIONS]      {PROG} VERB -h for its options"
+    return "\n".join([usage, "", DESCRIPTION, "Verbs:", *lines, ""])
+
+
+def first_line(verb: type[Options]) -> str:
+    """Of its docstring: what it does."""
+    return (verb.__doc__ or "").partition("\n")[0]
 
 
 def _values_of(option: str, words: Sequence[str]) -> list[str]:
@@ -133,15 +152,35 @@ def _values_of(option: str, words: Sequence[str]) -> list[str]:
     return values + [b for a, b in pairwise(words) if a == option]
 
 
-def _union() -> Any:
-    """Every verb with the first sentence of its docstring."""
-    choices = [
-        Annotated[
-            verb, tyro.conf.subcommand(name, description=(verb.__doc__ or "").partition("\n")[0])
+@dataclass(frozen=True, kw_only=True)
+class Completion(Options):
+    """Print a script that makes a shell complete verbs and options.
+
+    It knows the options of the day: print it again after an update.
+
+    Examples:
+      mpdt-data completion bash > ~/.local/share/bash-completion/completions/mpdt-data
+      mpdt-data completion zsh > ~/.zfunc/_mpdt-data
+      mpdt-data completion fish > ~/.config/fish/completions/mpdt-data.fish
+    """
+
+    shell: Annotated[Positional[Literal["bash", "zsh", "fish"]], arg(metavar="bash|zsh|fish")]
+    """The shell that shall read it."""
+
+    def run(self) -> None:
+        choices = [
+            Annotated[verb, subcommand(name, description=first_line(verb))]
+            for name, verb in VERBS.items()
         ]
-        for name, verb in VERBS.items()
-    ]
-    return Union[tuple(choices)]  # noqa: UP007  built at run time
+        printed = io.StringIO()
+        words = ["--tyro-print-completion", self.shell]
+        with redirect_stdout(printed), suppress(SystemExit):
+            verbs: Any = Union[tuple(choices)]  # noqa: UP007  built at run time
+            tyro.cli(verbs, args=words, prog=PROG, config=CONFIG)
+        self.print({"shell": self.shell, "script": printed.getvalue()}, printed.getvalue())
+
+
+VERBS["completion"] = Completion
 
 
 def _terminate(signum: int, frame: FrameType | None) -> NoReturn:

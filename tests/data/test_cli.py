@@ -49,7 +49,9 @@ def code_of(*words: str) -> int:
         (("split", "--tasks", "forward", "tiny.h5"), 2, "put FILE before --tasks"),
         (("split", "--train", "--test"), 2, "--train and --test together"),
         (("list", "--dir", "nowhere"), 2, "no such folder"),
-        ((), 2, "subcommand"),
+        ((), 2, "no verb; expected mpdt-data VERB"),
+        (("--json", "list"), 2, "'--json' comes before the verb"),
+        (("collect", "tiny", "--smok"), 2, "Perhaps you meant:"),
     ],
 )
 def test_mistakes_are_one_clear_error(
