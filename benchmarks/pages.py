@@ -87,8 +87,8 @@ def look(page: Path, browser: object, shots: Path | None) -> Iterator[str]:
             if figures == 0:
                 heard.append("no figure at all")
             yield from (f"{where}: {what}" for what in [*heard, *wrong])
-            if shots is not None:
-                name = f"{page.stem}-{screen}-{scheme}-unfolded.png"
+            if shots is not None and scheme == "light":
+                name = f"{page.stem}-{screen}-unfolded.png"
                 tab.screenshot(path=shots / name, full_page=True)
             tab.close()
 
