@@ -147,7 +147,7 @@ class Show(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class Info(Options):
-    """Versions and machine, to paste into a bug report.
+    """Versions, machine and surroundings, to paste into a bug report.
 
     Examples:
       mpdt-data info
@@ -159,12 +159,14 @@ class Info(Options):
         from mpdt.data.sim.engines import default_workers
         from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.store import provenance
+        from mpdt.data.verbs.surroundings import other_packages, surroundings
 
-        packages, machine = provenance.packages(), provenance.machine()
-        machine["cores"] = str(default_workers())
-        catalog = str(load_catalog().path)
-        rows = [*packages.items(), *machine.items(), ("datasets.yaml", catalog)]
-        self.print(
-            {"packages": packages, "machine": machine, "catalog": catalog},
-            text_table(rows, numbers_from=9),
-        )
+        catalog = load_catalog()
+        found: dict[str, dict[str, str]] = {
+            "packages": provenance.packages() | other_packages(),
+            "machine": provenance.machine() | {"cores": str(default_workers())},
+            "surroundings": surroundings(),
+            "catalog": {"datasets.yaml": str(catalog.path), "entries": str(len(catalog.specs))},
+        }
+        rows = [row for part in found.values() for row in part.items()]
+        self.print(found, text_table(rows, numbers_from=9))
