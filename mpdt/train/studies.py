@@ -118,6 +118,10 @@ STUDIES: Mapping[str, tuple[Cell, ...]] = {
         *(cell for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10")
           for cell in _family(data)),
         *_ABLATIONS,
+        _cell(_VEL, "Prompt-DT", {"multitask": {"steps": 5000}}, {"adapt": {"starts": ["infer"]}},
+              label="Prompt-DT-long"),
+        _cell(_VEL, "MPDT-mixed", {"multitask": {"steps": 3000}}, _STARTS, _EXPERT,
+              label="mixed-long"),
         _cell("mt10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["infer"]}},
               label="long"),
         _cell("ml10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["cross"]}}, _EXPERT,
