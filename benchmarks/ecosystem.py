@@ -1,12 +1,11 @@
 """Exports of a dataset file, read by the packages they are made for.
 
-    mpdt-data export FILE --to parquet|lerobot|minari|npz -o ...
-    python -m venv /tmp/eco && /tmp/eco/bin/pip install -r benchmarks/ecosystem.txt
-    python benchmarks/ecosystem.py FILE --python /tmp/eco/bin/python
+    make ecosystem                                      a smoke version of cheetah_dir
+    python benchmarks/ecosystem.py ml10.h5              any other file
 
-The packages live in an environment of their own: some want versions that mpdt does not. Each
-check is one line of the table: what, with which version, and what was read. Exit code 1 where
-one failed.
+The packages live in `build/ecosystem`, an environment of their own that borrows torch and numpy
+from this one. Each check is a small program of `benchmarks/peers/`, which prints the version and
+what it read. Writes results/ecosystem.json and docs/ecosystem.md; exit code 1 where one failed.
 """
 
 from __future__ import annotations
@@ -16,94 +15,136 @@ import json
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
 from pathlib import Path
+from typing import Any
 
+from mpdt.data.exchange.formats import FORMATS
 from mpdt.data.store.reader import open_dataset
 
-# Each runs in the other environment with FOLDER as argument and prints one line.
-CHECKS = {
-    ("Hugging Face datasets", "parquet"): """
-import datasets
-names = datasets.get_dataset_config_names(folder)
-rows = [datasets.load_dataset(folder, n, split="train", cache_dir=cache).num_rows for n in names]
-assert sum(rows) == steps, rows
-print(datasets.__version__, f"{len(names)} configurations, {sum(rows)} rows")
-""",
-    ("duckdb", "parquet"): """
-import duckdb
-query = f'''SELECT task_name, quality_name, avg("return") r FROM '{folder}/episodes.parquet'
-            GROUP BY ALL ORDER BY ALL'''
-rows = duckdb.sql(query).fetchall()
-summed = duckdb.sql(f"SELECT sum(reward) FROM '{folder}/data/*/*.parquet'")
-total = duckdb.sql(f'''SELECT sum("return") FROM '{folder}/episodes.parquet' ''')
-a, b = summed.fetchall()[0][0], total.fetchall()[0][0]
-assert abs(a - b) <= 1e-6 * max(1, abs(b)), (a, b)
-some = ", ".join(f"{task} {quality} {mean:.1f}" for task, quality, mean in rows[:2])
-print(duckdb.__version__, "mean return", some, "...")
-""",
-    ("mlcroissant", "parquet"): """
-import importlib.metadata
-import mlcroissant
-data = mlcroissant.Dataset(jsonld=folder + "/croissant.json")
-issues = data.metadata.ctx.issues
-assert not issues.errors, issues.report()
-name = next(r.uuid for r in data.metadata.record_sets if r.uuid.startswith("data/"))
-record = next(iter(data.records(name)))
-print(importlib.metadata.version("mlcroissant"), f"first record of {name}: {len(record)} fields")
-""",
-    ("pandas", "lerobot"): """
-import pandas
-tasks = pandas.read_parquet(folder + "/meta/tasks.parquet")
-assert tasks.index.name == "task" and list(tasks.columns) == ["task_index"]
-print(pandas.__version__, f"{len(tasks)} tasks by their text")
-""",
-    ("lerobot-doctor", "lerobot"): """
-import importlib.metadata, pathlib, re, subprocess
-program = pathlib.Path(sys.executable).with_name("lerobot-doctor")
-done = subprocess.run([program, folder], capture_output=True, text=True)
-found = re.search(r"Summary: .*", done.stdout)
-assert found and "FAIL" not in found.group(), done.stdout + done.stderr
-print(importlib.metadata.version("lerobot-doctor"), found.group())
-""",
-    ("minari", "minari"): """
-import json, os, pathlib
-os.environ["MINARI_DATASETS_PATH"] = folder
-import minari
-names = sorted(minari.list_local_datasets())
-total = sum(minari.load_dataset(name).total_steps for name in names)
-assert total == steps, total
-print(minari.__version__, f"{len(names)} sets, {total} steps")
-""",
-}
-PRELUDE = "import sys\nfolder, cache, steps = sys.argv[1], sys.argv[2], int(sys.argv[3])\n"
+ROOT = Path(__file__).parent.parent
+HOME = ROOT / "build/ecosystem"
+LOSSLESS = "TTA sets and named slices"
+# Peer, the program that reads, the format, and what this peer does not carry beyond the format.
+CHECKS = (
+    ("Minari", "minari", "minari", ""),
+    ("TorchRL", "torchrl", "minari", "goal, seed key, policy and quality of an episode"),
+    ("Hugging Face datasets", "datasets", "parquet",
+     "the last observation of an episode is in episodes.parquet, not among the rows"),
+    ("duckdb", "duckdb", "parquet", ""),
+    ("mlcroissant", "mlcroissant", "parquet", ""),
+    ("lerobot-doctor", "lerobot_doctor", "lerobot",
+     "images; it warns of that, of a constant column and of tasks that differ"),
+    ("pandas", "pandas", "lerobot", ""),
+    ("d3rlpy", "d3rlpy", "d4rl", "goals; the last step of each episode that ran out of time"),
+    ("Prompt-DT's layout", "promptdt", "promptdt", ""),
+    ("NumPy", "numpy", "npz", ""),
+)  # fmt: skip
+PAGE = """# Read by others
+
+Written by `make ecosystem`; do not edit. Each line is a program of `benchmarks/peers/` that imports
+nothing of mpdt (Minari alone does, to recover the environment) and asserts what it read: numbers of
+steps and episodes, returns, a replayed episode, a loss that falls. Data: {file}, content
+`{content_hash}`, {episodes:,} episodes, {steps:,} steps.
+
+{table}
+
+"Left out" is what the format or this reader has no place for. minari, parquet and npz are lossless:
+`mpdt-data import` gives the same content hash again, which `tests/data/exchange/` checks.
+"""
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("file", type=Path)
-    parser.add_argument("--python", default=sys.executable, help="interpreter with the packages")
+    parser.add_argument("file", type=Path, nargs="?", help="default: a smoke version, made now")
+    parser.add_argument("--only", help="one peer; nothing is written then")
     options = parser.parse_args()
-    dataset = open_dataset(options.file)
+    python = environment()
     work = Path(tempfile.mkdtemp(prefix="ecosystem-"))
-    failed = 0
-    print("| package | format | result |\n|---|---|---|")
-    for (package, form), code in CHECKS.items():
-        folder = work / form
-        if not folder.exists():
-            export = ["-m", "mpdt.data.cli", "export", str(options.file), "--to", form, "-q"]
-            subprocess.run([sys.executable, *export, "-o", str(folder)], check=True,
-                           stdout=subprocess.DEVNULL)  # fmt: skip
-        words = [str(folder), str(work / "cache"), str(dataset.num_steps)]
-        done = subprocess.run([options.python, "-c", PRELUDE + code, *words], capture_output=True,
-                              text=True, check=False)  # fmt: skip
-        failed += done.returncode != 0
-        lines = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines()
-        text = lines[-1] if lines else "no output"
-        print(f"| {package} | {form} | {'' if done.returncode == 0 else 'FAILED: '}{text} |")
-    print(json.dumps({"file": options.file.name, "failed": failed}), file=sys.stderr)
-    shutil.rmtree(work)
-    return 1 if failed else 0
+    try:
+        file = options.file or smoke(work)
+        chosen = [check for check in CHECKS if options.only in (None, check[0], check[1])]
+        found = [run(python, work, file, *check) for check in chosen]
+        if options.only is None:
+            write(file, found)
+    finally:
+        shutil.rmtree(work)
+    print(table(found))
+    return 1 if any(not check["passed"] for check in found) else 0
+
+
+def write(file: Path, checks: list[dict[str, Any]]) -> None:
+    """The results and their page."""
+    data = open_dataset(file)
+    header = {
+        "file": file.name, "content_hash": data.content_hash[:8], "episodes": data.num_episodes,
+        "steps": data.num_steps,
+    }  # fmt: skip
+    text = json.dumps(header | {"checks": checks}, indent=1) + "\n"
+    (ROOT / "results/ecosystem.json").write_text(text)
+    (ROOT / "docs/ecosystem.md").write_text(PAGE.format(table=table(checks), **header))
+
+
+def environment() -> Path:
+    """The interpreter with the packages; made on first use and after a change of the lists."""
+    python = HOME / "bin/python"
+    lists = [ROOT / f"benchmarks/ecosystem{part}.txt" for part in ("", "-no-deps")]
+    wanted = "".join(path.read_text() for path in lists)
+    done = HOME / "installed.txt"
+    if done.exists() and done.read_text() == wanted:
+        return python
+    subprocess.run([sys.executable, "-m", "venv", HOME], check=True)
+    here = sysconfig.get_paths()["purelib"]
+    site = subprocess.run(
+        [python, "-c", "import sysconfig; print(sysconfig.get_paths()['purelib'])"],
+        check=True, capture_output=True, text=True,
+    ).stdout.strip()  # fmt: skip
+    (Path(site) / "base.pth").write_text(f"import site; site.addsitedir({here!r})\n")
+    pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, "-c", ROOT / "constraints.txt", "-r", lists[0]], check=True)
+    subprocess.run([*pip, "--no-deps", "-r", lists[1]], check=True)
+    done.write_text(wanted)
+    return python
+
+
+def smoke(work: Path) -> Path:
+    path = work / "cheetah_dir-smoke.h5"
+    mpdt_data("collect", "cheetah_dir", "--smoke", "--workers", "0", "-o", path)
+    return path
+
+
+def mpdt_data(*words: object) -> None:
+    command = [sys.executable, "-m", "mpdt.data.cli", *map(str, words), "-q"]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+
+def run(
+    python: Path, work: Path, file: Path, peer: str, program: str, form: str, beyond: str
+) -> dict[str, Any]:
+    """One check: version, what was read or why not, and what stays behind."""
+    folder = work / form
+    if not folder.exists():
+        mpdt_data("export", file, "--to", form, "-o", folder)
+    script = ROOT / f"benchmarks/peers/read_{program}.py"
+    words = [python, script, folder, work / "cache", open_dataset(file).num_steps]
+    print(f"{peer} ...", file=sys.stderr)
+    done = subprocess.run([*map(str, words)], capture_output=True, text=True, check=False)
+    passed = done.returncode == 0
+    lines = (done.stdout if passed else done.stderr).strip().splitlines() or ["no output"]
+    version, _, text = lines[-1].partition(" ") if passed else ("", "", lines[-1])
+    lost = "; ".join(part for part in (FORMATS[form].lost or LOSSLESS, beyond) if part)
+    return {"peer": peer, "version": version, "format": form, "passed": passed, "read": text,
+            "left_out": lost}  # fmt: skip
+
+
+def table(checks: list[dict[str, Any]]) -> str:
+    lines = ["| peer | version | format | read | left out |", "|---|---|---|---|---|"]
+    for one in checks:
+        text = one["read"] if one["passed"] else f"FAILED: {one['read']}"
+        cells = (one["peer"], one["version"], one["format"], text, one["left_out"])
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":
