@@ -49,10 +49,12 @@ def write_page(target: Path, text: str) -> None:
 
 
 def number(value: float | None, digits: int = 1) -> str:
-    """`1,234.5`, `1.2e+09`, or a dash for what is not known."""
+    """`-36.1`, `4,835`, `1.2e+09`, or a dash for what is not known."""
     if value is None or value != value:
         return "–"  # noqa: RUF001
-    return f"{value:,.{digits}f}" if abs(value) < 1e7 else f"{value:.3g}"
+    if abs(value) >= 1e7:
+        return f"{value:.3g}"
+    return f"{value:,.{0 if abs(value) >= 1000 else digits}f}"
 
 
 def shorten(text: str, most: int) -> str:

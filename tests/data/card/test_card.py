@@ -11,7 +11,7 @@ import pytest
 from mpdt.data.card.card import card_page
 from mpdt.data.card.facts import Facts
 from mpdt.data.card.film import HEIGHT, WIDTH, Film
-from mpdt.data.card.page import write_page
+from mpdt.data.card.page import number, write_page
 from mpdt.data.episode import Episode, PolicyInfo
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader
@@ -100,6 +100,15 @@ def test_a_hostile_file_shows_its_names_and_nothing_else(tmp_path: Path) -> None
     assert not [name for name, _ in seen.attributes if name.startswith("on")]
     assert EVIL in seen.words  # as it is, not the 49 of a template
     assert "nan" not in page
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(-36.14, "-36.1"), (4835.4, "4,835"), (1.23e9, "1.23e+09"), (float("nan"), "–"),  # noqa: RUF001
+     (None, "–"), (-0.04, "-0.0"), (float("inf"), "inf")],  # noqa: RUF001
+)  # fmt: skip
+def test_numbers(value: float | None, text: str) -> None:
+    assert number(value) == text
 
 
 def test_a_name_that_is_no_text_can_be_written(tmp_path: Path) -> None:
