@@ -40,6 +40,7 @@ CAMERAS = {  # azimuth, elevation in degrees; distance in m
     "ant": (90.0, -30.0, 4.0),
     "sawyer": (150.0, -25.0, 1.4),
 }
+FLOORS = 10
 TABLE = (0.05, 0.6, 0.2)  # m; what the camera looks at in Meta-World
 HINT = (
     "drawing without a screen needs EGL or OSMesa; on Debian: "
@@ -158,7 +159,9 @@ def _stage(data: Dataset, family: Family, episode: Episode) -> _Stage:
     if not isinstance(seed, int) or episode.seed_key == UNKNOWN_SEED_KEY:
         raise DataError("an episode without a seed cannot be simulated again", where=where)
     env = LocomotionEnv(family.name, task.name, **(data.spec.get("env") or {}))
-    env.model.geom("floor").size[:2] = 0.0  # drawn without an end; an expert runs past it
+    floor = env.model.geom("floor")  # only its picture has an end, which experts run past
+    floor.size[:2] *= FLOORS
+    env.model.mat_texrepeat[floor.matid] *= FLOORS
     first, _ = env.reset(seed=SeedKey(seed, *episode.seed_key).env_seed())
     return _Stage(env.model, env.data, first, lambda action: env.step(action)[0])
 
