@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -69,6 +70,7 @@ def card_page(
         lengths=figures.lengths_chart(facts), length=int(lengths[0]),
         actions=figures.action_charts(facts), sampled=figures.ACTION_EPISODES,
         also=_also(data), made=_made(data),
+        typed=shlex.quote(data.path.name),
         commands=commands(data, facts.slice, state == "as locked"),
         provenance=_provenance(data), entry=_entry(data), version=mpdt.__version__,
     )  # fmt: skip
@@ -86,7 +88,7 @@ def _told(facts: Facts) -> str:
     sizes = f"{data.observation_size} numbers of observation, {data.action_size} of action"
     if family is None:
         return f"Family {data.family}: {split}; {sizes}."
-    horizon = int(data.spec.get("horizon") or family.horizon)
+    horizon = data.spec.get("horizon", family.horizon)
     goal = "hidden from the observation" if family.goal_hidden else "in the observation"
     return (
         f"{ROBOTS[family.reward]}: {split}. {sizes.capitalize()} within [{family.action_low:g}, "
@@ -99,7 +101,8 @@ def _made(data: Dataset) -> str:
     spec = data.spec
     if "import" in spec:
         return "Imported; what was not in the source is unknown here too."
-    behaviour = spec.get("behaviour") or {}
+    behaviour = spec.get("behaviour")
+    behaviour = behaviour if isinstance(behaviour, Mapping) else {}
     if behaviour.get("script"):
         who = (
             "The experts are Meta-World's scripts (some corrected); medium replaces a share of "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,6 +17,7 @@ from mpdt.data.reference import References
 from mpdt.data.store import layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.tables import Float64, Int64
+from mpdt.errors import DataError
 
 QUALITIES = {**QUALITY_CODES, "unknown": -1}
 ROLES = {code: role for role, code in layout.ROLE_CODES.items()}
@@ -86,8 +88,10 @@ class Facts:
 
     @classmethod
     def of(cls, data: Dataset, slice: str | None = None) -> Facts:
-        """Raises: UsageError for an unknown slice."""
+        """Raises: UsageError for an unknown slice; DataError for one without episodes."""
         ids = data.select(slice=slice)
+        if not len(ids):
+            raise DataError("no episodes", where=f"{data.path}{f':{slice}' if slice else ''}")
         rows = np.unique(data.episodes.task[ids]).tolist()
         return cls(data, slice, ids, tuple(_task(data, ids, int(row)) for row in rows))
 
@@ -132,35 +136,33 @@ def commands(data: Dataset, slice: str | None, is_locked: bool) -> list[str]:
     """What to type for the same episodes again, oldest step first.
 
     Steps that no command alone repeats (merging files that are not here, an import) are comments.
+    Every name is quoted: the lines are meant to be pasted, and the names come out of the file.
     """
     name = data.name
     is_smoke = name.endswith("-smoke")
     made = ["mpdt-data", "collect", name.removesuffix("-smoke")]
     made += ["--smoke"] * is_smoke + ["--locked"] * (is_locked and not data.parent)
-    found = [shlex.join(made)] if "import" not in data.spec else [_imported(data.spec["import"])]
+    origin = data.spec.get("import")
+    found = [shlex.join(made) if origin is None else _comment(f"imported: {_words(origin)}")]
     source = f"{name}.h5"
     for place, step in enumerate(data.lineage):
         target = data.path.name if place == len(data.lineage) - 1 else f"{name}-{place + 1}.h5"
         found.append(_repeated(step, source, target))
         source = target
     if slice is not None:
-        rule = data.slice_rules.get(slice, {})
-        found.append(f"# slice {slice}: {_words(rule)}")
+        found.append(_comment(f"slice {slice}: {_words(data.slice_rules.get(slice, {}))}"))
         found.append(shlex.join(["mpdt-data", "show", f"{source}:{slice}"]))
     return found
 
 
-def _imported(origin: Any) -> str:
-    return f"# imported: {_words(origin) if isinstance(origin, Mapping) else origin}"
-
-
 def _repeated(step: Mapping[str, Any], source: str, target: str) -> str:
-    """One step of the lineage as a command."""
+    """One step of the lineage as a command, or told of where it is none."""
     rule = step.get("rule") or {}
     if step.get("verb") == "split":
-        return shlex.join(["mpdt-data", "split", *_split_words(rule, source), "-o", target])
+        with suppress(TypeError, ValueError, AttributeError):  # a rule that no split wrote
+            return shlex.join(["mpdt-data", "split", *_split_words(rule, source), "-o", target])
     origins = " and ".join(str(origin)[:8] for origin in step.get("from", ()))
-    return f"# {step.get('verb', '?')} {_words(rule)} of {origins} -> {target}"
+    return _comment(f"{step.get('verb', '?')} {_words(rule)} of {origins} -> {target}")
 
 
 def _split_words(rule: Mapping[str, Any], source: str) -> list[str]:
@@ -178,10 +180,17 @@ def _split_words(rule: Mapping[str, Any], source: str) -> list[str]:
     return words
 
 
-def _words(rule: Mapping[str, Any]) -> str:
-    """`quality medium, episodes 10`, on one line."""
+def _comment(text: str) -> str:
+    """On one line, whatever the text holds."""
+    return "# " + " ".join(text.split())
+
+
+def _words(rule: Any) -> str:
+    """`quality medium, episodes 10`."""
+    if not isinstance(rule, Mapping):
+        return str(rule)
     parts = []
     for key, value in rule.items():
         text = " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
         parts.append(f"{key} {text if len(text) <= 60 else text[:57] + '...'}")
-    return " ".join(", ".join(parts).split())
+    return ", ".join(parts)

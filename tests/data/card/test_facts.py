@@ -6,6 +6,7 @@ Two tasks, 4 episodes per quality of 5 steps: medium returns 2.5, expert 5, hist
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from mpdt.data.card import figures
 from mpdt.data.card.facts import Facts, Group, commands
 from mpdt.data.cli import main
 from mpdt.data.store.reader import open_dataset
+from mpdt.errors import DataError
 
 
 @pytest.fixture
@@ -94,3 +96,29 @@ def test_commands_of_a_locked_file_and_of_a_slice(tiny_file: Path) -> None:
     first, told, show = commands(data, "expert", is_locked=False)
     assert first == "mpdt-data collect tiny" and show == "mpdt-data show tiny.h5:expert"
     assert told.startswith("# slice expert: ")
+
+
+@pytest.mark.parametrize(
+    ("step", "line"),
+    [
+        ({"verb": "split", "rule": {"tasks": ["a;b", "c"], "progress": [0, 0.3], "role": "train",
+                                    "slice": "s"}},
+         "mpdt-data split tiny.h5:s --tasks 'a;b,c' --progress 0:0.3 --train -o 'x y.h5'"),
+        ({"verb": "x\nrm -rf ~", "rule": {"k": "v\nw"}, "from": ["12345678ab"]},
+         "# x rm -rf ~ k v w of 12345678 -> x y.h5"),
+        ({"verb": "split", "rule": {"progress": 7}}, "# split progress 7 of -> x y.h5"),
+        ({"verb": "merge", "rule": [1]}, "# merge [1] of -> x y.h5"),
+    ],
+)  # fmt: skip
+def test_steps_of_a_lineage_can_be_pasted(
+    tiny_file: Path, step: dict[str, object], line: str
+) -> None:
+    """Names are quoted, and what is no command stays behind its # on one line."""
+    data = replace(open_dataset(tiny_file), lineage=(step,), path=Path("x y.h5"))
+    assert commands(data, None, is_locked=False)[1] == line
+
+
+def test_an_empty_slice_has_no_card(tiny_file: Path) -> None:
+    data = replace(open_dataset(tiny_file), slices={"none": np.zeros(0, np.int64)})
+    with pytest.raises(DataError, match=r"tiny\.h5:none: no episodes"):
+        Facts.of(data, "none")
