@@ -31,7 +31,7 @@ SHAPES = {"GPT-2 small": "random:gpt2", "SmolLM2-135M": "random:smollm2-135m"}
 class Update:
     """Policy, prompts, optimiser and windows of one run; `dtype` auto is what users get."""
 
-    def __init__(self, dataset: Any, backbone: str, dtype: str) -> None:
+    def __init__(self, dataset: Any, backbone: str, dtype: str, depth: int = DEPTH) -> None:
         import torch
 
         from mpdt.data.slices.sampler import WindowSampler
@@ -45,7 +45,7 @@ class Update:
         rows = list(dataset.tasks.train_rows)[:TASKS]
         ids = {row: dataset.select(task=row, quality="expert") for row in rows}
         self.sampler = WindowSampler(dataset, ids, rows, K, PER_TASK, 0)
-        self.backbone = load_backbone(backbone, DEPTH, dtype)
+        self.backbone = load_backbone(backbone, depth, dtype)
         stats = dataset.stats["observations"]
         inputs = InputSettings(kind="trained", return_to_go="none")
         self.policy = PromptPolicy(

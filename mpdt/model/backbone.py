@@ -245,7 +245,8 @@ def from_settings(settings: BackboneSettings) -> Backbone:
 
 def _additive(visible: Tensor, dtype: torch.dtype) -> Tensor:
     """0 where a token may look, the most negative number where it may not."""
-    return torch.zeros(visible.shape, dtype=dtype).masked_fill(~visible, torch.finfo(dtype).min)
+    nothing = torch.zeros(visible.shape, dtype=dtype, device=visible.device)
+    return nothing.masked_fill(~visible, torch.finfo(dtype).min)
 
 
 def _visible(mask_BK: Tensor, length: int) -> Tensor:

@@ -155,7 +155,7 @@ class InputMap(nn.Module):
     ) -> Tensor:
         """The return columns (n, M, K, 0 to 2): value, and whether it is missing."""
         settings = self.settings
-        empty = torch.zeros((*mask.shape, 0))
+        empty = torch.zeros((*mask.shape, 0), device=mask.device)
         if settings.return_to_go == "none":
             return empty
         if returns_to_go is None and not self.sees_missing:
@@ -164,11 +164,13 @@ class InputMap(nn.Module):
                 where=f"return_to_go {settings.return_to_go}",
                 hint="hand in the returns, or train with return_dropout above 0",
             )
-        missing = torch.zeros(mask.shape[:2], dtype=torch.bool)
+        missing = torch.zeros(mask.shape[:2], dtype=torch.bool, device=mask.device)
         if returns_to_go is None:
-            returns_to_go, missing = torch.zeros(mask.shape), ~missing
+            returns_to_go, missing = torch.zeros(mask.shape, device=mask.device), ~missing
         elif self.sees_missing and generator is not None:
-            missing = torch.rand(missing.shape, generator=generator) < settings.return_dropout
+            # Drawn on the processor: the same numbers on every device.
+            drawn = torch.rand(missing.shape, generator=generator).to(mask.device)
+            missing = drawn < settings.return_dropout
         missing = missing[..., None].expand(mask.shape)
         columns = [returns_to_go.masked_fill(missing, 0.0)]
         if self.sees_missing:

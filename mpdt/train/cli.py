@@ -123,7 +123,8 @@ def _run(command: Run, rest: list[str]) -> int:
             command.data, config, command.runs_dir, name, command.restart,
             Progress(command.quiet), stop, command.time_limit_s,
         )  # fmt: skip
-        print_results(results, command.json)
+        if results:  # of several processes the first one tells
+            print_results(results, command.json)
         return 0
 
     return _until_stopped(body)

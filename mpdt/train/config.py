@@ -19,6 +19,7 @@ from mpdt.model.prompts import PromptSettings
 from mpdt.model.tokens import InputSettings
 from mpdt.train.adapt import AdaptSettings
 from mpdt.train.evaluate import EvaluationSettings
+from mpdt.train.hardware import HardwareSettings
 from mpdt.train.labelled import FewShotSettings
 from mpdt.train.mixing import MixingSettings
 from mpdt.train.multitask import MultitaskSettings, OptimiserSettings
@@ -42,6 +43,7 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     and 15 times slower with torch's own (spinning) waits. See docs/log.md, 2026-11-22."""
     target_quantile: float = 0.9
     """Return asked of training tasks in closed loop, as a quantile of their training episodes."""
+    hardware: HardwareSettings = HardwareSettings()
     backbone: BackboneSettings = BackboneSettings()
     inputs: InputSettings = InputSettings()
     head: HeadSettings = HeadSettings()

@@ -45,6 +45,9 @@ def identify(config: TrainConfig, material: Material) -> Identity:
     settings = to_plain(from_plain(to_plain(config)))
     judging = {name: settings.pop(name) for name in JUDGING}
     settings["quality"] = material.quality
+    # What plain hardware does belongs to runs from before there was a choice, too.
+    if settings["hardware"] == to_plain(TrainConfig())["hardware"]:
+        del settings["hardware"]
     facts = (
         settings | {"data": _trained_on(material)},
         judging | {"data": _judged_on(config, material)},

@@ -28,6 +28,7 @@ from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.policy import PolicyBatch, PromptPolicy, Windows, action_loss
 from mpdt.model.prompts import AdaptedPrompts, DecomposedPrompts, SharedPrompt, TeacherPrompts
 from mpdt.model.returns import ReturnTable
+from mpdt.train.hardware import PROCESSOR, Hardware
 from mpdt.train.teacher import Teacher
 
 TaskPrompts = DecomposedPrompts | SharedPrompt | DemonstrationPrompts
@@ -97,38 +98,50 @@ def fit(
     teacher: Teacher | None = None,
     distillation_weight: float = 0.0,
     sparse: float = 0.0,
+    hardware: Hardware = PROCESSOR,
 ) -> int:
     """Train from update `first_step` up to `num_steps`; returns the updates done.
 
+    Args:
+        hardware: where the modules are, and who else trains them; losses are those of all.
     Raises: TrainingError with step and windows if the loss is not a finite number.
     """
-    trained = [p for group in optimizer.param_groups for p in group["params"]]
+    trained = [p for rates in optimizer.param_groups for p in rates["params"]]
+    group, returns = hardware.group, hardware.returns(returns)
     for step in range(first_step, num_steps):
-        for group in optimizer.param_groups:
-            group["lr"] = group["base_lr"] * rate_factor(settings, step, num_steps)
-        windows = sampler.batch(step)
-        batch, slots = as_batch(windows), torch.from_numpy(windows.slots)
-        of_tasks, task_prompts = returns.select(slots), prompts.task_prompts(slots, step)
-        output = policy(
-            batch, task_prompts, of_tasks,
-            generator=_dropout_generator(sampler.seed, step),
-            layer_features=teacher is not None and teacher.needs_features,
-        )  # fmt: skip
-        assert batch.actions is not None
-        loss = action = action_loss(output.actions, batch.actions, batch.mask)
-        parts = {"action_loss": action.item()}
-        if teacher is not None:
-            distilled = teacher.loss(batch, slots, task_prompts, output, of_tasks)
-            loss = loss + distillation_weight * distilled
-            parts["distillation_loss"] = distilled.item()
-        if sparse and isinstance(prompts, DecomposedPrompts):
-            loss = loss + sparse * prompts.task_parts(slots).abs().mean()
+        for rates in optimizer.param_groups:
+            rates["lr"] = rates["base_lr"] * rate_factor(settings, step, num_steps)
+        windows = group.share(sampler.batch(step))
+        batch, slots = hardware.batch(windows), hardware.tensor(torch.from_numpy(windows.slots))
+        with hardware.autocast():
+            of_tasks, task_prompts = returns.select(slots), prompts.task_prompts(slots, step)
+            output = policy(
+                batch, task_prompts, of_tasks,
+                generator=_dropout_generator(sampler.seed, step),
+                layer_features=teacher is not None and teacher.needs_features,
+            )  # fmt: skip
+            assert batch.actions is not None
+            loss = action = action_loss(output.actions, batch.actions, batch.mask)
+            losses = {"action_loss": action}
+            if teacher is not None:
+                distilled = teacher.loss(batch, slots, task_prompts, output, of_tasks, group)
+                loss = loss + distillation_weight * distilled
+                losses["distillation_loss"] = distilled
+            if sparse and isinstance(prompts, DecomposedPrompts):
+                loss = loss + sparse * prompts.task_parts(slots).abs().mean()
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
+        weight = group.weight(batch.mask)
+        hardware.scaler.scale(weight * loss).backward()  # type: ignore[no-untyped-call]
+        group.add_gradients(trained)
+        hardware.scaler.unscale_(optimizer)
         norm = nn.utils.clip_grad_norm_(trained, settings.clip or math.inf)
-        parts |= {"loss": loss.item(), "gradient_norm": norm.item()}
+        parts = {name: float(group.total(weight * value))
+                 for name, value in (losses | {"loss": loss}).items()}  # fmt: skip
+        if hardware.accepts(norm):
+            parts["gradient_norm"] = norm.item()
         _stop_on_nan(parts, step, windows)
-        optimizer.step()
+        hardware.scaler.step(optimizer)
+        hardware.scaler.update()
         if on_step(step + 1, parts):
             return step + 1
     return num_steps

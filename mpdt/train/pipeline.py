@@ -16,6 +16,7 @@ from mpdt.errors import MissingFileError, UsageError
 from mpdt.model.backbone import from_settings
 from mpdt.train.config import TrainConfig, to_plain
 from mpdt.train.folder import claimed, inspect, locate
+from mpdt.train.group import Group
 from mpdt.train.identity import Identity, identify
 from mpdt.train.judge import Judge
 from mpdt.train.material import Material, load_material
@@ -52,7 +53,13 @@ def run_pipeline(
     if not time_limit_s >= 0:
         raise UsageError("setting out of range", where="--time-limit-s",
                          expected="at least 0", found=str(time_limit_s))  # fmt: skip
-    folder = locate(runs_dir, name)
+    group = Group.join()
+    if group.size > 1 and config.inputs.return_dropout:
+        raise UsageError("return dropout is drawn for whole batches, not for a process's share",
+                         where="inputs.return_dropout", expected="0 with torchrun",
+                         found=str(config.inputs.return_dropout))  # fmt: skip
+    # Every process keeps checkpoints of its own; what is judged and kept is the first one's.
+    folder = locate(runs_dir, name if group.rank == 0 else f"{name}.rank-{group.rank}")
     material = load_material(data, config.quality)
     random = config.statistics.source == "random" and config.adapt.aligns
     if material.test_rows and (random or config.adapt.infers):
@@ -75,12 +82,15 @@ def run_pipeline(
     )
     trainer = Trainer(
         material, config, backbone, folder, progress, stop, time_limit_s,
-        identity.hashes["training"],
+        identity.hashes["training"], group,
     )  # fmt: skip
     # Whatever can be refused has been refused by now, and nothing was written yet.
     trainer.prepare()
     stop.check()
     with claimed(folder, identity, restart):
+        if group.rank > 0:
+            trainer.train()
+            return {}
         return _train_and_judge(trainer, name, identity)
 
 

@@ -37,6 +37,8 @@ from mpdt.model.weights import WeightsHeader, load_weights, save_weights
 from mpdt.train.config import TrainConfig, to_plain
 from mpdt.train.fit_check import check_fits
 from mpdt.train.folder import RunFolder
+from mpdt.train.group import ALONE, Group
+from mpdt.train.hardware import Hardware
 from mpdt.train.identity import JUDGING
 from mpdt.train.infer import read_training_tasks
 from mpdt.train.material import Ids, Material, return_table, sample_demonstrations
@@ -89,6 +91,7 @@ class Trainer:
     stop: StopRequest
     time_limit_s: float = 0.0
     run_hash: str = ""
+    group: Group = ALONE
 
     def sampler(self, phase: str, ids: Mapping[int, Ids] | None = None) -> WindowSampler:
         """Windows of the training tasks for one phase."""
@@ -251,6 +254,8 @@ class Trainer:
 
         def on_step(done: int, parts: dict[str, float]) -> bool:
             late = 0 < self.time_limit_s * share < time.monotonic() - began_s
+            late, asked = self.group.any([late, self.stop.signal_number is not None])
+            self.stop.heed(asked)
             record: dict[str, Any] = {"phase": phase, "step": done, **parts}
             regular = done % config.multitask.log_every == 0 or done == num_steps
             if regular:
@@ -271,12 +276,14 @@ class Trainer:
                 log.append(record | prompt_norms(subject.prompts))
             return late
 
-        return fit(
-            subject.policy, subject.prompts, subject.optimizer, self.sampler(phase), self.returns,
-            config.optimiser, first_step=first, num_steps=num_steps, on_step=on_step,
-            teacher=teacher, distillation_weight=config.teacher.weight,
-            sparse=config.multitask.sparse,
-        )  # fmt: skip
+        hardware = Hardware(config.hardware, self.group)
+        parts = [subject.policy, subject.prompts, *([teacher] if teacher else [])]
+        with hardware.working(self.backbone, subject.optimizer, *parts):
+            return fit(
+                subject.policy, subject.prompts, subject.optimizer, self.sampler(phase),
+                self.returns, config.optimiser, first_step=first, num_steps=num_steps,
+                on_step=on_step, teacher=teacher, distillation_weight=config.teacher.weight,
+                sparse=config.multitask.sparse, hardware=hardware)  # fmt: skip
 
 
 def prompt_norms(prompts: Prompts) -> dict[str, float]:

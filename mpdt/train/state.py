@@ -45,6 +45,11 @@ class StopRequest:
         if self.signal_number is not None:
             raise Stopped(self.signal_number)
 
+    def heed(self, asked: bool) -> None:
+        """Where another process of a group was asked to stop, so was this one."""
+        if asked and self.signal_number is None:
+            self.signal_number = signal.SIGTERM
+
     @contextmanager
     def listening(self) -> Iterator[StopRequest]:
         """Signals are remembered inside the block; the old handlers return afterwards."""

@@ -26,12 +26,13 @@ from typing import Literal
 
 import msgspec
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from mpdt.errors import UsageError
 from mpdt.model.policy import PolicyBatch, PolicyOutput, PromptPolicy
 from mpdt.model.prompts import TeacherPrompts
 from mpdt.model.returns import ReturnTable
+from mpdt.train.group import ALONE, Group
 
 Distillation = Literal["mpt", "prompt", "none"]
 
@@ -59,19 +60,22 @@ class TeacherSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
                 )
 
 
-class Teacher:
+class Teacher(nn.Module):
     """A frozen copy of the policy after phase A with the teacher prompts.
 
     The backbone is shared where it is frozen anyway; where it trains it is copied too.
     """
 
+    _prompts: Tensor
+
     def __init__(
         self, policy: PromptPolicy, prompts: TeacherPrompts, settings: TeacherSettings
     ) -> None:
+        super().__init__()
         frozen = policy.backbone.frozen
         memo = {id(policy.backbone): policy.backbone} if frozen else {}
         self._policy = copy.deepcopy(policy, memo).requires_grad_(False)
-        self._prompts = prompts.prompts.detach().clone()
+        self.register_buffer("_prompts", prompts.prompts.detach().clone())
         self._settings = settings
 
     @property
@@ -86,12 +90,14 @@ class Teacher:
         prompts: Tensor,
         output: PolicyOutput,
         returns: ReturnTable,
+        group: Group = ALONE,
     ) -> Tensor:
         """L_dis of one batch.
 
         Args:
             slots: (n,) rows of the teacher prompts.
             prompts, output: (n, l, s) and the student's answer to the same batch.
+            group: who else has windows of this batch; the teacher's variance is that of all.
         """
         target = self._prompts[slots]
         if self._settings.distillation == "prompt":
@@ -103,17 +109,22 @@ class Teacher:
         loss: Tensor = (output.actions - taught.actions)[mask].square().mean()
         if self.needs_features:
             hidden = torch.stack([
-                missed_variance(own[mask], theirs[mask])
+                missed_variance(own[mask], theirs[mask], group)
                 for own, theirs in zip(output.features, taught.features, strict=True)
             ])  # fmt: skip
             loss = loss + self._settings.hidden_weight * hidden.mean()
         return loss
 
 
-def missed_variance(features: Tensor, target: Tensor) -> Tensor:
+def missed_variance(features: Tensor, target: Tensor, group: Group = ALONE) -> Tensor:
     """Share of the variance of `target` (T, s) that `features` (T, s) does not explain.
 
     target  [[0], [2]]   its variance 1      features [[0], [1]]   missed (0 + 1) / 2 = 0.5
     """
-    spread = (target - target.mean(dim=0)).square().mean()
+    if group.size == 1:
+        spread = (target - target.mean(dim=0)).square().mean()
+    else:
+        rows = group.total(target.new_tensor(float(len(target))))
+        mean = group.total(target.sum(dim=0)) / rows
+        spread = group.total((target - mean).square().sum()) / (rows * target.shape[1])
     return (features - target).square().mean() / spread.clamp_min(1e-12)

@@ -104,6 +104,7 @@ OTHERS = {
     "adapt.starts": ("none",), "adapt.layers": (0,), "adapt.returns": "decrement",
     "adapt.target": "training", "adapt.infer": InferSettings(tasks=3), "prompts.kind": "shared",
     "evaluation.blocks": ("test",),
+    "hardware.device": "cuda", "hardware.autocast": "bfloat16", "hardware.compile": "eager",
     "few_shot.qualities": ("expert",), "few_shot.start": "cross_mean", "few_shot.tuned": "all",
 }  # fmt: skip
 
