@@ -13,29 +13,38 @@ from __future__ import annotations
 
 import json
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
 
 from mpdt.data.spec.tasks import Family
 from mpdt.data.store.reader import parse_ref
-from mpdt.errors import MissingFileError, unknown_name
+from mpdt.errors import MissingFileError, ShapeError, unknown_name
 from mpdt.model.backbone import from_settings
-from mpdt.model.prompts import Start
+from mpdt.model.policy import PromptPolicy
+from mpdt.model.prompts import Start, TrainedPrompts
+from mpdt.model.returns import ReturnTable
 from mpdt.model.weights import load_weights
+from mpdt.train.adapt import AdaptationSet, unseen_returns
 from mpdt.train.evaluate import Controller
 from mpdt.train.folder import RunFolder, stored_settings
 from mpdt.train.identity import identify
 from mpdt.train.material import load_material
 from mpdt.train.multitask import make_optimizer
 from mpdt.train.progress import Progress
-from mpdt.train.run import Trained, Trainer
+from mpdt.train.run import Trained, Trainer, phase_seed
 from mpdt.train.show import read_results
 from mpdt.train.state import StopRequest, Subject
 from mpdt.train.unseen import UnseenTasks
+
+Adaptation = Callable[[PromptPolicy, TrainedPrompts, AdaptationSet, ReturnTable], Tensor]
+"""An adaptation of your own: policy, trained prompts, X and returns of the n test tasks ->
+prompts (n, l, s) of these tasks. What it is given is frozen by convention; copy what you tune."""
 
 
 class ActingPolicy:
@@ -69,8 +78,9 @@ class ActingPolicy:
 
 
 def load_policy(
-    run: Path | str, task: str | int, *, data: Path | str | None = None, start: Start | None = None
-) -> ActingPolicy:
+    run: Path | str, task: str | int, *, data: Path | str | None = None,
+    start: Start | Adaptation | None = None,
+) -> ActingPolicy:  # fmt: skip
     """The policy of a run for one task of its data.
 
     Args:
@@ -79,7 +89,8 @@ def load_policy(
         data: FILE or FILE:slice it was trained on; None = the file of that name in the working
             folder or beside the folder of runs.
         start: adapt to `task`, a test task, from there; "none" = P_c and the mean of all P_k.
-            None = the own prompt, or "none" for a task that was not trained on.
+            None = the own prompt, or "none" for a task that was not trained on. A function is
+            an adaptation of your own, see `Adaptation`.
     Raises: MissingFileError; UsageError for a task without prompt; TrainingError or FormatError
         for weights of other data or settings; as `open_dataset`.
     """
@@ -96,7 +107,7 @@ def load_policy(
     # Judging settings are not part of what the weights are bound to.
     config = msgspec.structs.replace(
         config,
-        adapt=msgspec.structs.replace(config.adapt, starts=(start,)),
+        adapt=msgspec.structs.replace(config.adapt, starts=("none" if callable(start) else start,)),
         few_shot=msgspec.structs.replace(config.few_shot, qualities=(), demonstration=False),
     )
     with tempfile.TemporaryDirectory() as scratch:  # adaptation keeps a log
@@ -113,8 +124,30 @@ def load_policy(
             controller: Controller = unseen.controller(prompts, trained.returns)
         else:
             slot = material.test_rows.index(row)
-            controller = next(unseen.candidates()).controller
+            if callable(start):
+                controller = unseen.controller(*_adapted_by(start, trainer, trained))
+            else:
+                controller = next(unseen.candidates()).controller
     return ActingPolicy(controller, material.family, slot)
+
+
+def _adapted_by(
+    adaptation: Adaptation, trainer: Trainer, trained: Trained
+) -> tuple[Tensor, ReturnTable]:
+    """Prompts (n, l, s) of all test tasks, and their returns. Raises: ShapeError; DataError."""
+    config, material = trainer.config, trainer.material
+    family = material.family
+    x = AdaptationSet(
+        material.dataset, material.test_rows, config.adapt, config.sampler.window,
+        phase_seed(config.seed, "adapt"), family.action_low, family.action_high,
+    )  # fmt: skip
+    returns = unseen_returns(trained.returns, config.adapt, x.presets)
+    prompts = adaptation(trained.policy, trained.prompts, x, returns).detach()
+    wanted = (len(material.test_rows), *trained.prompts.task_prompts().shape[1:])
+    if prompts.shape != wanted:
+        raise ShapeError("one prompt (l, s) per test task", where="load_policy: start",
+                         expected=str(wanted), found=str(tuple(prompts.shape)))  # fmt: skip
+    return prompts, returns
 
 
 def _load(trainer: Trainer, weights: Path) -> Trained:

@@ -12,7 +12,7 @@ import mpdt
 import mpdt.envs
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.amend import add_slice
-from mpdt.errors import FormatError, MissingFileError, UsageError
+from mpdt.errors import FormatError, MissingFileError, ShapeError, UsageError
 from mpdt.seeding import Quality, SeedKey
 from mpdt.train.acting import ActingPolicy
 from mpdt.train.cli import main
@@ -104,3 +104,20 @@ def test_mistakes(finished, tmp_path, medium_file):
     assert mpdt.load_policy(moved, "forward", data=file).act(np.zeros(20)).shape == (6,)
     with pytest.raises(FormatError, match="trained on another run"):
         mpdt.load_policy(moved, "forward", data=f"{file}:half")
+
+
+def test_an_adaptation_of_ones_own(finished):
+    """The mean of all P_k by hand is the start "none"; X holds what zero-shot may see."""
+    seen = []
+
+    def by_hand(policy, trained, x, returns):
+        seen.append((x.batch(0).actions.shape[0], len(returns)))
+        mean = trained.task_parts().mean(dim=0)
+        return (trained.cross * mean).repeat(len(returns), 1, 1)
+
+    observation = np.linspace(-1, 1, 20)
+    mine = mpdt.load_policy(finished, "backward", start=by_hand).act(observation)
+    theirs = mpdt.load_policy(finished, "backward", start="none").act(observation)
+    assert seen == [(2, 2)] and (mine == theirs).all()
+    with pytest.raises(ShapeError, match="one prompt"):
+        mpdt.load_policy(finished, "backward", start=lambda p, trained, x, r: trained.cross)
