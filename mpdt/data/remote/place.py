@@ -30,6 +30,10 @@ class RefusedError(RemoteError):
     """The other side knows who asks, or does not, and will not."""
 
 
+class NoRangesError(RemoteError):
+    """A web server that sends whole files only."""
+
+
 class Place:
     """Where a URL points.
 
@@ -98,6 +102,17 @@ class Place:
 
     def stream(self, path: str, offset: int = 0) -> Iterator[bytes]:
         """The bytes of a file from `offset` on. Raises: RemoteError, MissingFileError."""
+        if not (offset and self.is_read_only):
+            yield from self._stream(path, offset)
+            return
+        try:
+            yield from self._stream(path, offset)
+        except NoRangesError:  # it sends all of it again, and what is here already is passed over
+            for chunk in self._stream(path, 0):
+                yield chunk[offset:] if offset < len(chunk) else b""
+                offset = max(0, offset - len(chunk))
+
+    def _stream(self, path: str, offset: int) -> Iterator[bytes]:
         # One plain GET reads a whole file even from a server that knows no ranges.
         whole = {"block_size": 0} if self.is_read_only and not offset else {}
         with self.told(), self.fs.open(path, "rb", **whole) as file:
@@ -221,6 +236,8 @@ def _is_absence(error: Exception) -> bool:
 
 
 def _refusal(address: str, words: str, error: Exception) -> MpdtError:
+    if isinstance(error, ValueError) and "range requests" in str(error):
+        return NoRangesError("the server sends whole files only", where=address, found=words)
     denied = isinstance(error, PermissionError) or "Authentication" in type(error).__name__
     if denied or {_status(error), _status(error.__cause__)} & {401, 403}:
         return RefusedError("no permission", where=address, found=words,

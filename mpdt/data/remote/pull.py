@@ -120,6 +120,9 @@ def _pull_folder(
         moved += fetch(place, f"{place.path.rstrip('/')}/{name}", path, sum, lambda _: None, tell)
     if there is arriving:
         with disk(target):
+            for path in arriving.rglob("*"):  # of an earlier state of the source
+                if path.is_file() and path.relative_to(arriving).as_posix() not in sums:
+                    path.unlink()
             (arriving / FILE_NAME).write_bytes(dumped(sums))
             for path in (*sorted(arriving.rglob("*")), arriving):
                 sync(path)

@@ -9,8 +9,11 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +160,37 @@ def test_a_part_of_another_state_is_not_continued(
     with pytest.raises(DataError, match="not a whole dataset file"):
         pull(url, target)
     assert not part.exists() and not note.exists() and not target.exists()
+
+
+def test_a_server_without_ranges(collected: Path, tmp_path: Path) -> None:
+    """Python's own http.server sends everything again; only the missing half is written."""
+    handler = partial(SimpleHTTPRequestHandler, directory=str(collected.parent))
+    monkey = pytest.MonkeyPatch()
+    monkey.setattr(SimpleHTTPRequestHandler, "log_message", lambda *words: None)
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server, monkey.context():
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = f"http://127.0.0.1:{server.server_address[1]}/tiny.h5"
+        target, size = tmp_path / "x.h5", collected.stat().st_size
+
+        def interrupt(name: str, done: int, size: int | None) -> None:
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            pull(url, target, tell=interrupt)
+        (tmp_path / "x.h5.part").write_bytes(collected.read_bytes()[: size // 2])
+        assert pull(url, target).num_new_bytes == size - size // 2
+        server.shutdown()
+    monkey.undo()
+    assert target.read_bytes() == collected.read_bytes()
+
+
+def test_what_an_earlier_source_left_does_not_arrive(export: Path, tmp_path: Path) -> None:
+    push(export, str(tmp_path / "set"))
+    (tmp_path / "back.part").mkdir()
+    (tmp_path / "back.part/old.txt").write_text("of another state")
+    (tmp_path / "back.part/README.md").write_text("hullo\n")
+    pull(str(tmp_path / "set"), tmp_path / "back")
+    assert tree(tmp_path / "back") == tree(export)
 
 
 def test_damage_on_either_side_is_refused(
