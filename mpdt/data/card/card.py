@@ -55,7 +55,10 @@ def card_page(
     lengths = np.concatenate(list(facts.lengths.values()))
     return render(
         "card.html",
-        facts=facts, told=_told(facts), megabytes=data.path.stat().st_size / 1e6,
+        facts=facts,
+        counts=[_count(len(facts.tasks), "task"), _count(len(facts.ids), "episode"),
+                _count(facts.num_steps, "step")],
+        told=_told(facts), megabytes=data.path.stat().st_size / 1e6,
         lock=state, lock_told=lock_told, report=report, summary=summary(findings),
         worst=_worst(findings),
         keys=[(quality, quality) for quality in facts.qualities],
@@ -71,16 +74,20 @@ def card_page(
         actions=figures.action_charts(facts), sampled=figures.ACTION_EPISODES,
         also=_also(data), made=_made(data),
         typed=shlex.quote(data.path.name),
-        commands=commands(data, facts.slice, state == "as locked"),
+        commands=commands(data, facts.slice, _whole_is_locked(data, lock)),
         provenance=_provenance(data), entry=_entry(data), version=mpdt.__version__,
     )  # fmt: skip
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number:,} {thing}" + "s" * (number != 1)
 
 
 def _told(facts: Facts) -> str:
     data, family = facts.data, FAMILIES.get(facts.data.family)
     roles = [task.role for task in facts.tasks]
     split = ", ".join(
-        f"{roles.count(role)} {words}"
+        f"{_count(roles.count(role), 'task')} {words}"
         for role, words in (("train", "to train on"), ("test", "to test on"),
                             ("both", "to train and test on"))
         if role in roles
@@ -120,8 +127,7 @@ def _made(data: Dataset) -> str:
 def _lock_state(data: Dataset, entry: LockEntry | None) -> tuple[str, str]:
     """A word and a sentence."""
     if data.parent:
-        whole = entry is not None and data.parent == entry.hashes.content
-        of = "the locked file" if whole else f"{data.parent[:12]}"
+        of = "the locked file" if _whole_is_locked(data, entry) else f"{data.parent[:12]}"
         return "cut-out", f"Cut out of {of}; cut-outs are not locked themselves."
     if entry is None:
         return "not locked", f"datasets.lock has no entry {data.name}."
@@ -131,6 +137,12 @@ def _lock_state(data: Dataset, entry: LockEntry | None) -> tuple[str, str]:
         f"datasets.lock holds {data.name} {entry.version} with content "
         f"{entry.hashes.content[:12]}, which is not this."
     )
+
+
+def _whole_is_locked(data: Dataset, entry: LockEntry | None) -> bool:
+    """Whether the collection it is, or was cut out of, is the locked one."""
+    whole = data.parent or data.content_hash
+    return entry is not None and len(data.lineage) <= 1 and whole == entry.hashes.content
 
 
 def _worst(findings: Sequence[Finding]) -> str:
@@ -191,8 +203,8 @@ def _also(data: Dataset) -> list[tuple[str, str]]:
     found = [(name, f"slice, {len(ids):,} episodes") for name, ids in data.slices.items()]
     for name, tta in data.tta.items():
         tasks = len(np.unique(tta.task))
-        found.append((f"tta/{name}", f"{len(tta):,} unlabelled random-action episodes of {tasks} "
-                                     "tasks, for adaptation at test time"))  # fmt: skip
+        told = f"{_count(len(tta), 'unlabelled random-action episode')} of {_count(tasks, 'task')}"
+        found.append((f"tta/{name}", f"{told}, for adaptation at test time"))
     return found
 
 

@@ -141,7 +141,7 @@ def commands(data: Dataset, slice: str | None, is_locked: bool) -> list[str]:
     name = data.name
     is_smoke = name.endswith("-smoke")
     made = ["mpdt-data", "collect", name.removesuffix("-smoke")]
-    made += ["--smoke"] * is_smoke + ["--locked"] * (is_locked and not data.parent)
+    made += ["--smoke"] * is_smoke + ["--locked"] * is_locked
     origin = data.spec.get("import")
     found = [shlex.join(made) if origin is None else _comment(f"imported: {_words(origin)}")]
     source = f"{name}.h5"

@@ -90,13 +90,14 @@ def _shares(title: str, axis: Axis, marks: Sequence[Mark]) -> Chart:
 
 
 def ladder_chart(task: TaskFacts) -> Chart | None:
-    """Return of the history episodes over the progress of whoever acted; None without any.
+    """Return of the history episodes over the progress of whoever acted; None without any
+    whose progress is known.
 
     The band holds the middle 80 % of the episodes of a rung; dots are the other qualities.
     """
-    if "history" not in task.groups:
+    group = task.groups.get("history")
+    if group is None or group.progress.min() < 0:  # -1 is unknown
         return None
-    group = task.groups["history"]
     progress = np.unique(group.progress)
     rungs = [group.returns[group.progress == at] for at in progress]
     low, high = (np.array([np.quantile(rung, q) for rung in rungs]) for q in (0.1, 0.9))
@@ -119,7 +120,7 @@ def ladders_chart(facts: Facts) -> Chart | None:
     levels: dict[float, list[float]] = {}
     for task in facts.tasks:
         group = task.groups.get("history")
-        if group is None or math.isnan(task.level(0.0)):
+        if group is None or group.progress.min() < 0 or math.isnan(task.level(0.0)):
             continue
         progress = np.unique(group.progress)
         own = [task.level(float(group.returns[group.progress == p].mean())) for p in progress]
