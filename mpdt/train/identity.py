@@ -41,13 +41,9 @@ class Identity:
 
 def identify(config: TrainConfig, material: Material) -> Identity:
     """The identity of a run. Raises: as `find_tta_set`, where the run needs that set."""
-    # The round trip makes 1 and 1.0 of a float setting one.
-    settings = to_plain(from_plain(to_plain(config)))
+    settings = plain_settings(config)
     judging = {name: settings.pop(name) for name in JUDGING}
     settings["quality"] = material.quality
-    # What plain hardware does belongs to runs from before there was a choice, too.
-    if settings["hardware"] == to_plain(TrainConfig())["hardware"]:
-        del settings["hardware"]
     facts = (
         settings | {"data": _trained_on(material)},
         judging | {"data": _judged_on(config, material)},
@@ -55,6 +51,16 @@ def identify(config: TrainConfig, material: Material) -> Identity:
     # As config.json gives them back: lists for tuples.
     training, judging = json.loads(json.dumps(facts))
     return Identity(training, judging)
+
+
+def plain_settings(config: TrainConfig) -> dict[str, Any]:
+    """What of a configuration counts, as JSON values."""
+    # The round trip makes 1 and 1.0 of a float setting one.
+    settings = to_plain(from_plain(to_plain(config)))
+    # What plain hardware does belongs to runs from before there was a choice, too.
+    if settings["hardware"] == to_plain(TrainConfig())["hardware"]:
+        del settings["hardware"]
+    return settings
 
 
 def _trained_on(material: Material) -> dict[str, Any]:

@@ -19,7 +19,7 @@ import numpy as np
 from mpdt.data.replacement import disk
 from mpdt.errors import MissingFileError, MpdtError
 from mpdt.train.config import TrainConfig, from_plain, to_plain
-from mpdt.train.identity import identify
+from mpdt.train.identity import identify, plain_settings
 from mpdt.train.material import load_material
 from mpdt.train.methods import apply_method, merge
 from mpdt.train.pipeline import run_pipeline
@@ -116,7 +116,7 @@ def _run_cell(cell: Cell, places: Places, progress: Progress, stop: StopRequest)
 
 def config_hash(config: TrainConfig) -> str:
     """SHA-256 over all settings; whatever it was put together from."""
-    text = json.dumps(to_plain(config), sort_keys=True, separators=(",", ":"))
+    text = json.dumps(plain_settings(config), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 

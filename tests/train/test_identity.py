@@ -103,7 +103,7 @@ OTHERS = {
     "teacher.distillation": "none", "statistics.source": "random", "statistics.axes": "position",
     "adapt.starts": ("none",), "adapt.layers": (0,), "adapt.returns": "decrement",
     "adapt.target": "training", "adapt.infer": InferSettings(tasks=3), "prompts.kind": "shared",
-    "evaluation.blocks": ("test",),
+    "evaluation.blocks": ("test",), "mixing.model": InferSettings(tasks=3),
     "hardware.device": "cuda", "hardware.autocast": "bfloat16", "hardware.compile": "eager",
     "few_shot.qualities": ("expert",), "few_shot.start": "cross_mean", "few_shot.tuned": "all",
 }  # fmt: skip
