@@ -232,21 +232,37 @@ def test_what_arrives_damaged_is_deleted_there(
 
 
 def test_passwords_appear_nowhere(
-    sftp: Wire, run: Run, collected: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    sftp: Wire, run: Run, collected: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch, keys: Path,
 ) -> None:  # fmt: skip
     """Not in results, errors, usage, tracebacks, hints after Ctrl-C, notes or lists."""
+
+    def interrupted(*words: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
     name, port = os.environ["USER"], sftp.port
     good = f"sftp://{name}:s3cret@127.0.0.1:{port}{tmp_path}/x.h5"
     seen = [*run("push", collected, good, "--json"), *run("pull", good)]
     assert seen[0] == seen[3] == 0 and f"{name}:***@127.0.0.1" in seen[1]
-    os.environ["HOME"] = str(tmp_path)  # another home: no key, no known host
+    monkeypatch.setenv("HOME", str(tmp_path))  # another home: no key, no known host
     seen += run("pull", good, "-v", "-o", "y.h5")
     assert "an unknown host" in seen[-1] and "connect once with ssh" in seen[-1]
-    for words in (("pull", good, "surplus"), ("pull", good, "--ouput", "x"), ("plan", good)):
-        with pytest.raises(SystemExit) if words[0] == "pull" else pytest.MonkeyPatch.context():
+    seen += run("plan", good)  # quoted as an unknown name
+    assert "***" in seen[-1]
+    for words in (("pull", "x.h5", good), ("pull", good, "--ouput", "x")):  # quoted by tyro
+        with pytest.raises(SystemExit):
             run(*words)
         seen += capsys.readouterr()
+    with monkeypatch.context() as patch:
+        patch.setattr("mpdt.data.remote.pull.pull", interrupted)
+        seen += run("pull", good)
+    assert f"go on with: mpdt-data pull 'sftp://{name}:***@" in seen[-1]
     wrong = good.replace("s3cret", "s3cret2")
+    (tmp_path / ".ssh").mkdir()
+    shutil.copy(keys / ".ssh/known_hosts", tmp_path / ".ssh/known_hosts")  # still no key
+    seen += run("pull", wrong, "-v", "-o", "y.h5")
+    assert "no permission" in seen[-1] and "docs/remote.md" in seen[-1]
+    assert run("pull", good, "-o", "y.h5")[0] == 0  # by password
     for url in (wrong, wrong.replace("sftp", "sfpt"), wrong.replace("sftp", "http")):
         for verb in (("pull", url, "-v"), ("push", collected, url)):
             seen += run(*verb)
