@@ -18,7 +18,7 @@ from mpdt.train.summary import CellResult, cells_csv, read_cells, study_tables
 def report_tables(cells: Sequence[CellResult], study: str) -> list[Table]:
     """All tables of a study, in the order of reading."""
     verdicts = []
-    if {cell.data for cell in cells} & GOALS.keys():
+    if {cell.data for cell in cells} & {goal.data for goal in GOALS}:
         verdicts = [goals_table(cells), claims_table(cells)]
     return [*verdicts, *study_tables(cells, study)]
 

@@ -3,7 +3,16 @@
 import pytest
 
 from mpdt.train import claims
-from mpdt.train.claims import CLAIMS, GOALS, Claim, claims_table, goals_table, judge_claim
+from mpdt.train.claims import (
+    CLAIMS,
+    FEW_SHOT,
+    GOALS,
+    Claim,
+    Goal,
+    claims_table,
+    goals_table,
+    judge_claim,
+)
 from mpdt.train.methods import METHODS
 from mpdt.train.results import MEAN, Score
 from mpdt.train.studies import STUDIES
@@ -57,19 +66,26 @@ def cells():
 
 def test_goals_count_only_what_reads_at_most_x_and_rewards(cells):
     table = goals_table(cells)
-    by_data = {line[0]: line for line in table.rows}
-    assert set(by_data) == set(GOALS) and by_data["ml10"][2] == "not run"
-    assert by_data["mt10"] == (
-        "mt10", ">= 3600, 90%", "3700.0 [3699.0, 3701.0], 95%",
+    by_name = {line[0]: line for line in table.rows}
+    assert list(by_name) == [goal.name for goal in GOALS] and by_name["ml10"][2] == "not run"
+    assert by_name["mt10"] == (
+        "mt10", "3600, 90%", "3700.0 [3699.0, 3701.0], 95%",
         "A infer (X+rewards; best of 1)", "0.92 of 0.9", "1317.52", "200.0", "4000.0", "met",
     )  # fmt: skip
 
 
 def test_a_goal_is_missed_by_any_of_its_parts(cells, monkeypatch):
-    for goal in (claims.Goal(3701, 0.9, 0.0), claims.Goal(3600, 0.93, 0.0),
-                 claims.Goal(3600, 0.9, 0.0, success=0.96)):  # fmt: skip
-        monkeypatch.setattr(claims, "GOALS", {"mt10": goal})
+    for goal in (Goal("mt10", 3701, 0.9, 0.0), Goal("mt10", 3600, 0.93, 0.0),
+                 Goal("mt10", 3600, 0.9, 0.0, success=0.96)):  # fmt: skip
+        monkeypatch.setattr(claims, "GOALS", (goal,))
         assert goals_table(cells).rows[0][-1] == "missed"
+
+
+def test_few_shot_goals_look_at_other_rows(cells, monkeypatch):
+    monkeypatch.setattr(claims, "GOALS", (Goal("mt10", 3900, None, None, reads=FEW_SHOT),))
+    (line,) = goals_table(cells).rows
+    assert line[0] == "mt10, few-shot" and line[3] == "A few-shot (labelled steps; best of 1)"
+    assert line[4:6] == ("0.92", "not public") and line[-1] == "met"
 
 
 def test_claims_without_rows_are_not_run(cells):
@@ -80,6 +96,6 @@ def test_claims_without_rows_are_not_run(cells):
 
 def test_a_study_of_these_data_begins_with_its_verdicts(cells):
     titles = [table.title for table in report_tables(cells, "try")]
-    assert titles[:3] == ["Zero-shot goals", "Claims of the paper", "mt10: test tasks"]
+    assert titles[:3] == ["Goals on unseen tasks", "Claims of the paper", "mt10: test tasks"]
     other = [CellResult("another", "A", 0, cells[0].scores, {})]
     assert report_tables(other, "try")[0].title == "another: test tasks"
