@@ -44,11 +44,12 @@ class Published:
         with quiet():
             observation, _ = env.reset()
             policy.begin(keys, [goal], HORIZON)
-            seen, rewards, wins = [observation], [], []
+            # Copies: some scripts write into the observation they are shown.
+            seen, rewards, wins = [observation.copy()], [], []
             for step in range(HORIZON):
                 action = policy.act(step, observation[None])[0].astype(np.float32)
                 observation, reward, _, _, info = env.step(np.clip(action, -1, 1))
-                seen.append(observation)
+                seen.append(observation.copy())
                 rewards.append(reward)
                 wins.append(bool(info["success"]))
         return np.array(seen, np.float32), np.array(rewards, np.float32), np.array(wins)

@@ -85,7 +85,8 @@ def _table(
         table["mean"][columns] = mean = block.mean(axis=1)
         table["min"][columns] = block.min(axis=1)
         table["max"][columns] = block.max(axis=1)
-        quantiles = np.quantile(block, list(_QUANTILES.values()), axis=1)
+        # Column by column: with an axis numpy would select along the far one of a whole copy.
+        quantiles = np.stack([np.quantile(row, list(_QUANTILES.values())) for row in block], 1)
         for name, values in zip(_QUANTILES, quantiles, strict=True):
             table[name][columns] = values
         block -= mean[:, None]

@@ -10,11 +10,15 @@ import h5py
 import numpy as np
 
 from mpdt.data.episode import Episode
+from mpdt.data.replacement import disk
 from mpdt.data.store import layout
 from mpdt.data.store.layout import Column
 from mpdt.data.store.tables import Goals, TaskRow
 from mpdt.errors import DataError, ShapeError
 from mpdt.seeding import UNKNOWN_SEED_KEY
+
+WRITE_BYTES = 4 << 20
+"""Of steps that are held back to be written at once."""
 
 
 def create(group: h5py.Group, column: Column, sizes: dict[str, int]) -> h5py.Dataset:
@@ -103,6 +107,8 @@ class StepTable:
     ) -> None:
         self.target, self._arrays, self._where = target, arrays, str(target)
         self._planned = (num_episodes, num_steps)
+        self._waiting: list[list[Any]] = [[] for _ in arrays]
+        self._first, self._waiting_bytes = (0, 0), 0
         self._last: tuple[int, ...] = ()
         self.num_steps = 0
         self.table: dict[str, list[Any]] = {
@@ -114,25 +120,37 @@ class StepTable:
         return len(self.table["task"])
 
     def append(self, episode: Episode, task_row: int, goal_row: int) -> None:
-        """Write one episode's steps and remember its place.
+        """Take one episode's steps and remember its place; some megabytes are written at once.
 
         Raises: DataError out of order or beyond the plan, ShapeError for another size or for
             successes present or absent against the plan.
         """
         start, length = self.num_steps, episode.length
         self._check(episode, task_row)
-        for name, array in self._arrays:
+        for (name, array), waiting in zip(self._arrays, self._waiting, strict=True):
             value = getattr(episode, name.removeprefix("sim_"))
-            first = start + self.num_episodes if name == "observations" else start
             if value.shape[1:] != array.shape[1:]:
                 raise ShapeError(f"wrong {name}", where=self._where,
                                  expected=f"rows of {array.shape[1:]}",
                                  found=str(value.shape[1:]))  # fmt: skip
-            array[first : first + len(value)] = value
+            waiting.append(value)
+            self._waiting_bytes += value.nbytes
         row = (task_row, goal_row, start, start + self.num_episodes, length, episode.seed_key)
         for column, number in zip(self.table.values(), row, strict=True):
             column.append(number)
         self.num_steps += length
+        if self._waiting_bytes >= WRITE_BYTES:
+            self._write()
+
+    def _write(self) -> None:
+        """What waits, one call per array: h5py needs as long for an episode as for a hundred."""
+        for (name, array), waiting in zip(self._arrays, self._waiting, strict=True):
+            if waiting:
+                first = sum(self._first) if name == "observations" else self._first[0]
+                rows = np.concatenate(waiting)
+                array[first : first + len(rows)] = rows
+                waiting.clear()
+        self._first, self._waiting_bytes = (self.num_steps, self.num_episodes), 0
 
     def _check(self, episode: Episode, task_row: int) -> None:
         key = (task_row, episode.quality, *episode.seed_key[3:])
@@ -156,6 +174,8 @@ class StepTable:
 
         Raises: DataError if fewer episodes or steps came than were planned.
         """
+        with disk(self.target):
+            self._write()
         if (self.num_episodes, self.num_steps) != self._planned:
             self._disagree("{} episodes of {} steps", (self.num_episodes, self.num_steps))
         table = dict(self.table)

@@ -127,36 +127,44 @@ def check_group(
     columns: tuple[Column, ...],
     sizes: dict[str, int] | None,
     where: str,
-) -> None:
+) -> dict[str, h5py.Dataset]:
     """Compare one group with its columns; letters met first bind a size in `sizes`.
 
     `sizes` None: each dataset may have sizes of its own, only the number of axes counts.
 
+    Returns: the columns that are there. Looking one up twice would double the time of opening.
+
     Raises: FormatError naming the first missing dataset, wrong dtype or wrong shape.
     """
+    present: dict[str, h5py.Dataset] = {}
     for column in columns:
-        if column.path not in group:
+        try:
+            found = group[column.path]
+        except KeyError:
             if column.optional:
                 continue
             path = f"{group.name}/{column.path}".replace("//", "/")
             raise FormatError(f"dataset {path} is missing", where=where,
-                              hint="the file is damaged or foreign; collect it again")  # fmt: skip
-        found = group[column.path]
+                              hint="the file is damaged or foreign; collect it again",
+                              ) from None  # fmt: skip
+        dtype, shape = found.dtype, found.shape
         if column.dtype == "str":
-            good = h5py.check_string_dtype(found.dtype) is not None
+            good = h5py.check_string_dtype(dtype) is not None
         else:
-            good = found.dtype == np.dtype(column.dtype)
+            good = dtype == np.dtype(column.dtype)
         if not good:
             raise FormatError(f"dataset {found.name} has the wrong type", where=where,
-                              expected=column.dtype, found=str(found.dtype))  # fmt: skip
+                              expected=column.dtype, found=str(dtype))  # fmt: skip
         bound = {} if sizes is None else sizes
         wanted = [bound.setdefault(letter, size) if isinstance(letter, str) else letter
-                  for letter, size in zip(column.shape, found.shape, strict=False)]  # fmt: skip
-        if len(found.shape) != len(column.shape) or list(found.shape) != wanted:
+                  for letter, size in zip(column.shape, shape, strict=False)]  # fmt: skip
+        if len(shape) != len(column.shape) or list(shape) != wanted:
             letters = ", ".join(map(str, column.shape))
             raise FormatError(f"dataset {found.name} has the wrong shape", where=where,
                               expected=f"({letters}) = {wanted}",
-                              found=str(list(found.shape)))  # fmt: skip
+                              found=str(list(shape)))  # fmt: skip
+        present[column.path] = found
+    return present
 
 
 def checked_name(name: str) -> str:

@@ -117,31 +117,35 @@ class _Arrays:
 
 
 def _columns(
-    group: h5py.Group, columns: tuple[layout.Column, ...], arrays: _Arrays | None = None
+    present: dict[str, h5py.Dataset],
+    columns: tuple[layout.Column, ...],
+    arrays: _Arrays | None = None,
 ) -> dict[str, Any]:
-    values: dict[str, Any] = {}
+    """Values of the columns that `check_group` found; None for the others."""
+    values: dict[str, Any] = dict.fromkeys(column.path for column in columns)
     for column in columns:
-        if column.path not in group:
-            values[column.path] = None
-        elif column.dtype == "str":
-            values[column.path] = tuple(group[column.path].asstr()[()])
+        dataset = present.get(column.path)
+        if dataset is None:
+            continue
+        if column.dtype == "str":
+            values[column.path] = tuple(dataset.asstr()[()])
         else:
-            dataset = group[column.path]
             values[column.path] = arrays.take(dataset) if arrays else np.asarray(dataset[()])
     return values
 
 
 def _read(file: h5py.File, path: Path, arrays: _Arrays, checked: bool = True) -> Dataset:
     where, sizes = str(path), dict[str, int]()
+    found: dict[str, dict[str, h5py.Dataset]] = {}
     for name, columns in layout.GROUPS.items():
         if name not in file:
             raise FormatError(f"group /{name} is missing", where=where, hint=damaged_hint(path))
-        layout.check_group(file[name], columns, sizes if checked else None, where)
+        found[name] = layout.check_group(file[name], columns, sizes if checked else None, where)
     family = layout.read_text(file, "family", where)
-    episodes = _columns(file["episodes"], layout.EPISODES)
+    episodes = _columns(found["episodes"], layout.EPISODES)
     episodes["returns"] = episodes.pop("return")
-    goals = _columns(file["goals"], layout.GOALS)
-    policies = _columns(file["policies"], layout.POLICIES)
+    goals = _columns(found["goals"], layout.GOALS)
+    policies = _columns(found["policies"], layout.POLICIES)
     slices = {name: np.asarray(ids[()], np.int64) for name, ids in file.get("slices", {}).items()}
     dataset = Dataset(
         path=path, family=family,
@@ -155,14 +159,14 @@ def _read(file: h5py.File, path: Path, arrays: _Arrays, checked: bool = True) ->
         lineage=_read_lineage(file, where),
         packages=layout.read_json(file, "packages", where),
         platform=layout.read_json(file, "platform", where),
-        tasks=_read_tasks(file["tasks"], family),
+        tasks=_read_tasks(found["tasks"], family),
         goals=tables.Goals(goals["values"], goals["dim"], goals["task"]),
         policies=tables.Policies(
             policies["hash"], policies["task"], policies["rung"], policies["level"],
             policies["train_step"], policies["mix_rate"], policies["name"],
         ),
         episodes=tables.Episodes(**episodes),
-        steps=tables.Steps(**_columns(file["steps"], layout.STEPS, arrays)),
+        steps=tables.Steps(**_columns(found["steps"], layout.STEPS, arrays)),
         slices=slices,
         slice_rules={n: layout.read_json(file["slices"][n], "rule", where) for n in slices},
         stats_info=_read_stats(file["stats"], where) if "stats" in file else None,
@@ -174,10 +178,10 @@ def _read(file: h5py.File, path: Path, arrays: _Arrays, checked: bool = True) ->
     if not checked:
         return dataset
     check_tables(dataset)
-    found = hash_content(dataset.content_header(), dataset.episodes.digest)
-    if found != dataset.content_hash:
+    content = hash_content(dataset.content_header(), dataset.episodes.digest)
+    if content != dataset.content_hash:
         raise FormatError("content hash does not fit the episode digests", where=where,
-                          expected=dataset.content_hash, found=found,
+                          expected=dataset.content_hash, found=content,
                           hint=damaged_hint(path))  # fmt: skip
     return dataset
 
@@ -190,14 +194,14 @@ def _read_lineage(file: h5py.File, where: str) -> tuple[dict[str, Any], ...]:
     return tuple({**step, "from": [str(hash) for hash in step["from"]]} for step in steps)
 
 
-def _read_tasks(group: h5py.Group, family: str) -> tables.Tasks:
-    values = _columns(group, layout.TASKS)
+def _read_tasks(present: dict[str, h5py.Dataset], family: str) -> tables.Tasks:
+    values = _columns(present, layout.TASKS)
     names: tuple[str, ...] = values["name"]
     known = {task.name: task.index for task in FAMILIES[family].tasks} if family in FAMILIES else {}
     return tables.Tasks(
         names=names,
         indices=tuple(known.get(name, row) for row, name in enumerate(names)),
-        envs=tuple(layout.parse_json(text, f"{group.name}/env") for text in values["env"]),
+        envs=tuple(layout.parse_json(text, "/tasks/env") for text in values["env"]),
         roles=values["role"],
         references=tuple(references_of(values, row) for row in range(len(names))),
     )
@@ -209,8 +213,7 @@ def _read_stats(group: h5py.Group, where: str) -> tables.Stats:
         columns = tuple(layout.Column(stat, "<f8", (name,)) for stat in layout.STATS)
         if name not in group:
             raise FormatError(f"group /stats/{name} is missing", where=where)
-        layout.check_group(group[name], columns, {}, where)
-        fields[name] = _columns(group[name], columns)
+        fields[name] = _columns(layout.check_group(group[name], columns, {}, where), columns)
     constant = layout.read_json(group, "constant", where)
     return tables.Stats(
         fields=fields,
@@ -224,12 +227,14 @@ def _read_tta(
     name: str, group: h5py.Group, sizes: dict[str, int] | None, where: str, arrays: _Arrays
 ) -> tables.TtaSet:
     own = None if sizes is None else {letter: sizes[letter] for letter in "DA"}
-    for key, columns in layout.TTA_GROUPS.items():
-        layout.check_group(group[key] if key else group, columns, own, where)
+    found = {
+        key: layout.check_group(group[key] if key else group, columns, own, where)
+        for key, columns in layout.TTA_GROUPS.items()
+    }
     return tables.TtaSet(
         name=name,
         rule=layout.read_json(group, "rule", where),
         content_hash=layout.read_text(group, "content_hash", where),
-        **_columns(group["steps"], layout.TTA_STEPS, arrays),
-        **_columns(group["episodes"], layout.TTA_EPISODES),
+        **_columns(found["steps"], layout.TTA_STEPS, arrays),
+        **_columns(found["episodes"], layout.TTA_EPISODES),
     )
