@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 WIDTH = 340
 PLOT_HEIGHT = 150
-TOP, RIGHT, BOTTOM, LEFT = 8, 18, 34, 50
+TOP, RIGHT, BOTTOM, LEFT = 8, 18, 34, 56
 ROW = 15  # height of one row of a chart of rows
 LETTER = 6.2  # width of a letter of row names, roughly
 NAME = 22  # letters of a row name that are shown; the rest when pointed at
