@@ -88,7 +88,7 @@ def measure(report: rounds.Report) -> None:
     from mpdt.data.spec.tasks import get_family
 
     torch.set_num_threads(1)
-    few = min(3, report.rounds)
+    few = min(2, report.rounds)  # a round of the peers takes longest
     family = get_family("cheetah_dir")
 
     def normalised(env: Any) -> Any:

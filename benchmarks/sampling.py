@@ -46,7 +46,9 @@ def standardised(dataset: Any, batches: int) -> Callable[[], float]:
         nonlocal step
         for _ in range(batches):
             batch = sampler.batch(step)
-            np.multiply(batch.observations - mean, scale)
+            seen = batch.observations  # a copy of its own
+            np.subtract(seen, mean, out=seen)
+            np.multiply(seen, scale, out=seen)
             step += 1
         return float(batches * batch.mask[..., 0].size)
 
