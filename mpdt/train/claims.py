@@ -60,7 +60,8 @@ CLAIMS = (
           f"MPDT-no-distillation {_CROSS}", (-135.51, -139.88)),
     Claim("length 30 is better than length 3", _VEL, f"MPDT-no-distillation {_CROSS}",
           f"length-3 {_CROSS}", (-139.88, -299.20)),
-    *(Claim("MPDT beats zero-shot Prompt-DT", data, f"MPDT-E {_CROSS}",
+    *(Claim("MPDT (here without distillation) beats zero-shot Prompt-DT", data,
+            f"MPDT-no-distillation {_CROSS}",
             "Prompt-DT not adapted", published)
       for data, published in ((_VEL, (-139.88, -192.38)), ("cheetah_dir", (50.32, -7.92)),
                               ("ant_dir", (121.84, 123.46)), ("ml10", (371.01, 317.31)),
@@ -115,20 +116,20 @@ def claims_table(cells: Sequence[CellResult]) -> Table:
     """One line per claim, with the rows and intervals behind it."""
     rows = {data: _test_rows(cells, data) for data in {claim.data for claim in CLAIMS}}
     lines = tuple(
-        (claim.text, claim.data, _told(rows[claim.data].get(claim.ahead), claim.ahead),
+        (claim.text, judge_claim(rows[claim.data], claim), claim.data,
+         _told(rows[claim.data].get(claim.ahead), claim.ahead),
          _told(rows[claim.data].get(claim.behind), claim.behind),
-         " / ".join(f"{value:.1f}" for value in claim.published or ()) or "not public",
-         judge_claim(rows[claim.data], claim))
+         " / ".join(f"{value:.1f}" for value in claim.published or ()) or "not public")
         for claim in CLAIMS
     )  # fmt: skip
-    columns = ("claim", "data", "said to be ahead", "said to be behind", "published", "verdict")
+    columns = ("claim", "verdict", "data", "said to be ahead", "said to be behind", "published")
     return Table("Claims of the paper", columns, lines)
 
 
 def goals_table(cells: Sequence[CellResult]) -> Table:
     """Per goal the best row that may count, with the number of rows it is the best of."""
-    columns = ("goal", "at least", "reached", "by (reads)", "training tasks", "published", ZERO,
-               EXPERT, "verdict")  # fmt: skip
+    columns = ("goal", "verdict", "at least", "reached", "by (reads)", "training tasks",
+               "published", ZERO, EXPERT)  # fmt: skip
     lines = tuple(_goal_line(cells, goal) for goal in GOALS)
     return Table("Goals on unseen tasks", columns, lines)
 
@@ -138,7 +139,7 @@ def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
     rows = _test_rows(cells, goal.data)
     tried = [row for row in rows.values() if row.reads in goal.reads]
     if not tried:
-        return (goal.name, wanted, "not run", *["-"] * 6)
+        return (goal.name, "not run", wanted, *["-"] * 6)
     best = max(tried, key=lambda row: row.mean)
     share = _training_share(cells, goal.data, best.method)
     met = (
@@ -148,13 +149,12 @@ def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
     )
     reached = f"{best.mean:.1f} [{best.interval[0]:.1f}, {best.interval[1]:.1f}]"
     return (
-        goal.name, wanted,
+        goal.name, "met" if met else "missed", wanted,
         reached if best.success is None else f"{reached}, {best.success:.0%}",
         f"{best.method} ({best.reads}; best of {len(tried)})",
         f"{share:.2f}" + ("" if goal.share is None else f" of {goal.share:g}"),
         "not public" if goal.published is None else f"{goal.published:g}",
         *(f"{rows[name].mean:.1f}" if name in rows else "-" for name in (ZERO, EXPERT)),
-        "met" if met else "missed",
     )  # fmt: skip
 
 

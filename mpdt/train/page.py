@@ -32,7 +32,8 @@ from mpdt.train.maps import map_pixels, prompt_maps
 from mpdt.train.report import BLOCKS, Table, build_tables
 from mpdt.train.results import MEAN, Block, Score
 from mpdt.train.show import scores_in
-from mpdt.train.summary import CellResult, study_tables, summarise
+from mpdt.train.study_report import report_tables
+from mpdt.train.summary import CellResult, summarise
 
 
 @dataclass(frozen=True)
@@ -192,8 +193,10 @@ def _weights(weights: Mapping[str, float] | Sequence[Any]) -> str:
 
 def study_content(cells: Sequence[CellResult], name: str) -> Content:
     """The page of the cells of a study: one part per data set and block."""
-    parts, curves = [], []
-    tables = study_tables(cells, name)
+    tables = report_tables(cells, name)
+    verdicts = [table for table in tables if ":" not in table.title]
+    parts = [Part(table.title, [table]) for table in verdicts]
+    curves = []
     for data in dict.fromkeys(cell.data for cell in cells):
         own = [cell for cell in cells if cell.data == data]
         for block, words in (("test", "test tasks"), ("train", "training tasks")):
