@@ -1,4 +1,4 @@
-"""Pictures: bars per task with intervals, curves of training and adaptation, maps of prompts.
+"""Pictures: what every method earns, curves of training and adaptation, maps of prompts.
 
 Needs the extra `docs`; without matplotlib nothing is drawn, and a warning says so.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,12 +16,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mpdt.train.maps import prompt_maps
-from mpdt.train.results import CONSTANT, MEAN, RANDOM, ZERO, Score
+from mpdt.train.summary import summarise
 
 if TYPE_CHECKING:
     from mpdt.train.summary import CellResult
 
 _log = logging.getLogger(__name__)
+_COLOURS = {
+    "-": "0.6", "nothing": "tab:purple", "X": "tab:blue", "X+rewards": "tab:green",
+    "labelled steps": "tab:orange", "demonstration": "tab:red",
+}  # fmt: skip
 
 
 def plot_study(cells: Sequence[CellResult], folder: Path) -> list[Path]:
@@ -64,24 +69,23 @@ def _picture(path: Path, draw: Callable[[Any], None]) -> list[Path]:
 
 
 def _bars(figure: Any, cells: Sequence[CellResult]) -> None:
-    """Return of every method on every test task, first seed, with its interval."""
+    """Mean over the test tasks of every row, the trivial ones too, coloured by what was read."""
+    rows = [row for row in summarise(cells, "test") if math.isfinite(row.mean)]
+    rows.sort(key=lambda row: row.mean)
+    figure.set_figheight(1 + 0.22 * len(rows))
     axes = figure.subplots()
-    rows: dict[str, dict[str, Score]] = {}
-    for cell in sorted(cells, key=lambda cell: cell.seed):
-        for score in cell.scores:
-            if score.block == "test" and score.task != MEAN and score.mean == score.mean:
-                rows.setdefault(score.method, {}).setdefault(score.task, score)
-    rows = {method: own for method, own in rows.items() if method not in (RANDOM, ZERO, CONSTANT)}
-    tasks = list(dict.fromkeys(task for own in rows.values() for task in own))
-    for number, (method, own) in enumerate(rows.items()):
-        at = [i + 0.8 * (number / len(rows) - 0.5) for i, task in enumerate(tasks) if task in own]
-        scores = [own[task] for task in tasks if task in own]
-        below = [max(s.mean - s.low, 0) for s in scores]
-        above = [max(s.high - s.mean, 0) for s in scores]
-        axes.bar(at, [s.mean for s in scores], 0.8 / len(rows), yerr=[below, above], label=method)
-    axes.set_xticks(range(len(tasks)), tasks)
-    axes.set_ylabel("return")
-    axes.legend(fontsize=6)
+    for reads in dict.fromkeys(row.reads for row in rows):
+        own = [(place, row) for place, row in enumerate(rows) if row.reads == reads]
+        ends = [
+            [max(row.mean - row.interval[0], 0) for _, row in own],
+            [max(row.interval[1] - row.mean, 0) for _, row in own],
+        ]
+        axes.barh([place for place, _ in own], [row.mean for _, row in own], xerr=ends,
+                  color=_COLOURS[reads], label="reference" if reads == "-" else reads)  # fmt: skip
+    axes.set_yticks(range(len(rows)), [row.method for row in rows], fontsize=7)
+    axes.set_xlabel("mean return on the test tasks, 95 % interval")
+    axes.axvline(0, color="black", linewidth=0.5)
+    figure.legend(title="reads", loc="outside right upper", fontsize=7)
 
 
 def _training(figure: Any, cells: Sequence[CellResult]) -> None:

@@ -8,12 +8,16 @@ import torch
 
 from mpdt.model.weights import WeightsHeader, save_weights
 from mpdt.train.plots import plot_prompts, plot_study
-from mpdt.train.results import Score
+from mpdt.train.results import MEAN, Score
 from mpdt.train.summary import CellResult
 
-SCORE = Score(block="test", task="a", method="m infer", mean=1.0, low=0.5, high=1.5, normalised=0.1)
+SCORES = tuple(
+    Score(block="test", task=task, method="m infer", mean=1.0, low=0.5, high=1.5, normalised=0.1,
+          reads="X+rewards")
+    for task in ("a", MEAN)
+)  # fmt: skip
 CURVES = {"student": [[1, 0.5], [2, 0.1]], "adapt cross": [[0, 2.0], [1, 1.5]]}
-CELLS = [CellResult("d", "m", 0, (SCORE,), {"curve": CURVES})]
+CELLS = [CellResult("d", "m", 0, SCORES, {"curve": CURVES})]
 
 
 @pytest.fixture
