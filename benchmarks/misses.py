@@ -37,6 +37,11 @@ MISSES = {
         "copies between them, each a small operation on one thread. The smaller a model's width, "
         "the larger their share."
     ),
+    "remembering": (
+        "Packing ends with the statistics of all columns. Their quantiles are exact, so whole "
+        "columns are held, as many as fit into 256 MiB and at least one: memory grows up to that "
+        "bound, and beyond it with the 24 bytes per step of a single column."
+    ),
     "starting": (
         "What is imported before a command is known; `python -X importtime -m mpdt.data.cli "
         "--help` lists it."

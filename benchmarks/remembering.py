@@ -54,8 +54,8 @@ def train(path: Path) -> None:
         update.run()
 
 
-def collect(target: Path, episodes: int) -> None:
-    """Random cheetah episodes of 20 steps, blocks of 50, then the pack."""
+def collect(target: Path, episodes: int, packs: bool) -> None:
+    """Random cheetah episodes of 20 steps, blocks of 50, and on request the pack."""
     import msgspec
 
     from mpdt.data.pack import pack
@@ -73,7 +73,8 @@ def collect(target: Path, episodes: int) -> None:
     (folder.path / "blocks").mkdir(parents=True)
     runner = BlockRunner(plan, folder)
     reports = [runner(block) for block in plan.of_kind("episodes")]
-    pack(plan, folder, reports, load_ladder(spec).policies(plan.tasks), {})
+    if packs:
+        pack(plan, folder, reports, load_ladder(spec).policies(plan.tasks), {})
 
 
 def measured(*words: str) -> float:
@@ -95,10 +96,13 @@ def measure(report: rounds.Report) -> None:
             found[size] = measured("train", str(path))
             report.fact(f"training on {size} GB, highest", found[size], "MiB")
         report.fact("10 GB over 1 GB", found[10] / found[1], "x", most=MOST)
-        for episodes in (1_000, 10_000):
-            found[episodes] = measured("collect", str(work / f"{episodes}.h5"), str(episodes))
-            report.fact(f"collecting {episodes:,} episodes, highest", found[episodes], "MiB")
-        report.fact("10,000 episodes over 1,000", found[10_000] / found[1_000], "x", most=MOST)
+        for what, word in (("collect", "collecting"), ("pack", "collecting and packing")):
+            for episodes in (1_000, 10_000):
+                target = str(work / f"{what}-{episodes}.h5")
+                found[episodes] = measured(what, target, str(episodes))
+                report.fact(f"{word} {episodes:,} episodes, highest", found[episodes], "MiB")
+            report.fact(f"{word}: 10,000 episodes over 1,000", found[10_000] / found[1_000], "x",
+                        most=MOST)  # fmt: skip
     finally:
         shutil.rmtree(work)
 
@@ -107,7 +111,10 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["--one"]:
         highest = Highest()
         what, path, *rest = sys.argv[2:]
-        train(Path(path)) if what == "train" else collect(Path(path), int(rest[0]))
+        if what == "train":
+            train(Path(path))
+        else:
+            collect(Path(path), int(rest[0]), packs=what == "pack")
         time.sleep(0.05)
         print(highest.mib)
     else:
