@@ -210,8 +210,8 @@ def _missing_package(address: str, protocol: str, error: ImportError) -> MpdtErr
     known = known_implementations.get(protocol, {}).get("err") or str(error)
     return UsageError(f"{protocol} needs a package that is not installed", where=address,
                       found=known,
-                      hint="install it with pip; 'mpdt[remote]' brings those of sftp, webdav, "
-                           "http and s3")  # fmt: skip
+                      hint="install it with pip; 'mpdt[remote]' brings those of sftp, webdav "
+                           "and http")  # fmt: skip
 
 
 def _status(error: BaseException | None) -> int | None:
