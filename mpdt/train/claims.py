@@ -44,6 +44,12 @@ CLAIMS = (
     Claim("distillation helps", _VEL, f"MPDT-E {_CROSS}", f"MPDT-no-distillation {_CROSS}"),
     Claim("adaptation on X helps", _VEL, f"MPDT-E {_CROSS}",
           "MPDT-E P_c o mean P_k, not adapted", (-139.88, -145.27)),
+    *(Claim("adaptation on X helps (here without distillation)", data,
+            f"MPDT-no-distillation {_CROSS}",
+            "MPDT-no-distillation P_c o mean P_k, not adapted")
+      for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10")),
+    Claim("adaptation on X helps (one soft prompt for all tasks)", _VEL,
+          f"Soft-Prompt-TTA {_CROSS}", "Soft-Prompt-TTA not adapted"),
     Claim("a frozen input map is better", _VEL, f"MPDT {_CROSS}", f"MPDT-E {_CROSS}",
           (-139.88, -186.07)),
     Claim("pretrained weights help (against trained from scratch)", _VEL, f"MPDT-E {_CROSS}",
