@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mpdt.train.report import Table
-from mpdt.train.results import EXPERT, MEAN, ZERO
+from mpdt.train.results import MEAN, REFERENCES
 from mpdt.train.summary import CellResult, Row, summarise
 
 Verdict = Literal["confirmed", "reversed", "not confirmed", "not run"]
@@ -135,7 +135,7 @@ def claims_table(cells: Sequence[CellResult]) -> Table:
 def goals_table(cells: Sequence[CellResult]) -> Table:
     """Per goal the best row that may count, with the number of rows it is the best of."""
     columns = ("goal", "verdict", "at least", "reached", "by (reads)", "training tasks",
-               "published", ZERO, EXPERT)  # fmt: skip
+               "published", *REFERENCES)  # fmt: skip
     lines = tuple(_goal_line(cells, goal) for goal in GOALS)
     return Table("Goals on unseen tasks", columns, lines)
 
@@ -145,7 +145,7 @@ def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
     rows = _test_rows(cells, goal.data)
     tried = [row for row in rows.values() if row.reads in goal.reads]
     if not tried:
-        return (goal.name, "not run", wanted, *["-"] * 6)
+        return (goal.name, "not run", wanted, *["-"] * 8)
     best = max(tried, key=lambda row: row.mean)
     share = _training_share(cells, goal.data, best.method)
     met = (
@@ -160,7 +160,7 @@ def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
         f"{best.method} ({best.reads}; best of {len(tried)})",
         f"{share:.2f}" + ("" if goal.share is None else f" of {goal.share:g}"),
         "not public" if goal.published is None else f"{goal.published:g}",
-        *(f"{rows[name].mean:.1f}" if name in rows else "-" for name in (ZERO, EXPERT)),
+        *(_mean(rows.get(name)) for name in REFERENCES),
     )  # fmt: skip
 
 
@@ -184,3 +184,7 @@ def _told(row: Row | None, name: str) -> str:
     if row is None:
         return f"{name}: not run"
     return f"{name}: {row.mean:.1f} [{row.interval[0]:.1f}, {row.interval[1]:.1f}]"
+
+
+def _mean(row: Row | None) -> str:
+    return "-" if row is None or not math.isfinite(row.mean) else f"{row.mean:.1f}"

@@ -70,7 +70,7 @@ def test_goals_count_only_what_reads_at_most_x_and_rewards(cells):
     assert list(by_name) == [goal.name for goal in GOALS] and by_name["ml10"][1] == "not run"
     assert by_name["mt10"] == (
         "mt10", "met", "3600, 90%", "3700.0 [3699.0, 3701.0], 95%",
-        "A infer (X+rewards; best of 1)", "0.92 of 0.9", "1317.52", "200.0", "4000.0",
+        "A infer (X+rewards; best of 1)", "0.92 of 0.9", "1317.52", "200.0", "-", "-", "4000.0",
     )  # fmt: skip
 
 
