@@ -14,15 +14,11 @@ adapting   ours: windows of all test tasks as one batch, prompts run once per ta
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rounds
-import synthetic
 import training
 
 ROWS, STEPS, K, PROMPT = 50, 4, training.K, training.PROMPT
@@ -129,27 +125,20 @@ def measure(report: rounds.Report) -> None:
 
     torch.set_num_threads(1)
     few = min(3, report.rounds)
-    work = Path(tempfile.mkdtemp(prefix="mpdt-bench-", dir=rounds.scratch()))
-    try:
-        dataset = synthetic.write(work / "ml10.h5", "ml10", 10, 500)
-        for name, backbone in training.SHAPES.items():
-            ours = training.Update(dataset, backbone, "auto")
-            plain = training.Update(dataset, backbone, "float32")
-            report.compare(
-                f"acting, {name}, {ROWS} rows", "actions/s",
-                [rounds.Way("mpdt", "ours", together(ours), 0),
-                 rounds.Way("one token per step", "limit", one_token(ours), 0),
-                 rounds.Way("one episode at a time", "plain", alone(plain), 0)],
-                [rounds.Target("one episode at a time", 10.0)], few)  # fmt: skip
-            report.compare(
-                f"adapting, {name}, {training.TASKS} tasks x {training.PER_TASK} windows",
-                "tasks/s",
-                [rounds.Way("mpdt", "ours", adapting(ours, True), 0),
-                 rounds.Way("task after task, nothing shared", "plain",
-                            adapting(plain, False), 0)],
-                rounds=few)  # fmt: skip
-    finally:
-        shutil.rmtree(work)
+    for name, ours, plain in training.updates():
+        report.compare(
+            f"acting, {name}, {ROWS} rows", "actions/s",
+            [rounds.Way("mpdt", "ours", together(ours), 0),
+             rounds.Way("one token per step", "limit", one_token(ours), 0),
+             rounds.Way("one episode at a time", "plain", alone(plain), 0)],
+            [rounds.Target("one episode at a time", 10.0)], few)  # fmt: skip
+        report.compare(
+            f"adapting, {name}, {training.TASKS} tasks x {training.PER_TASK} windows",
+            "tasks/s",
+            [rounds.Way("mpdt", "ours", adapting(ours, True), 0),
+             rounds.Way("task after task, nothing shared", "plain",
+                        adapting(plain, False), 0)],
+            rounds=few)  # fmt: skip
 
 
 if __name__ == "__main__":

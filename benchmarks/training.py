@@ -15,9 +15,8 @@ Untrained weights: what they are does not change the time.
 
 from __future__ import annotations
 
-import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +43,7 @@ class Update:
 
         rows = list(dataset.tasks.train_rows)[:TASKS]
         ids = {row: dataset.select(task=row, quality="expert") for row in rows}
+        self.dataset = dataset
         self.sampler = WindowSampler(dataset, ids, rows, K, PER_TASK, 0)
         self.backbone = load_backbone(backbone, depth, dtype)
         stats = dataset.stats["observations"]
@@ -154,34 +154,35 @@ def product(dtype: Any) -> tuple[Callable[[], None], float]:
     return run, 2.0 * times * tokens * width * 4 * width
 
 
+def updates() -> Iterator[tuple[str, Update, Update]]:
+    """Per shape of language model: as users get it, and in plain float32, on the same new data."""
+    with tempfile.TemporaryDirectory(prefix="mpdt-bench-", dir=rounds.scratch()) as work:
+        dataset = synthetic.write(Path(work) / "ml10.h5", "ml10", 10, 500)
+        for name, backbone in SHAPES.items():
+            yield name, Update(dataset, backbone, "auto"), Update(dataset, backbone, "float32")
+
+
 def measure(report: rounds.Report) -> None:
     import torch
 
     torch.set_num_threads(1)
     few = min(3, report.rounds)
-    work = Path(tempfile.mkdtemp(prefix="mpdt-bench-", dir=rounds.scratch()))
-    try:
-        dataset = synthetic.write(work / "ml10.h5", "ml10", 10, 500)
-        for name, backbone in SHAPES.items():
-            ours = Update(dataset, backbone, "auto")
-            plain = Update(dataset, backbone, "float32")
-            size = f"{TASKS} tasks x {PER_TASK} windows, {DEPTH} blocks"
-            report.compare(
-                f"update, {name}, {size}", "updates/s",
-                [rounds.Way(f"mpdt, {str(ours.backbone.dtype)[6:]}", "ours", ours.run, 1),
-                 rounds.Way("mpdt, plain float32", "plain", plain.plain, 1),
-                 rounds.Way("DecisionTransformerModel", "peer",
-                            decision_transformer(dataset, ours), 1)],
-                [rounds.Target("mpdt, plain float32", 5.0)], few)  # fmt: skip
-            (half, work_half), (full, work_full) = product(torch.bfloat16), product(torch.float32)
-            report.compare(
-                f"arithmetic of an update, {name}", "FLOP/s",
-                [rounds.Way("mpdt", "ours", ours.run, ours.flops),
-                 rounds.Way("matmul, bfloat16", "limit", half, work_half),
-                 rounds.Way("matmul, float32", "limit", full, work_full)],
-                [rounds.Target("matmul, bfloat16", 0.5)], few)  # fmt: skip
-    finally:
-        shutil.rmtree(work)
+    for name, ours, plain in updates():
+        size = f"{TASKS} tasks x {PER_TASK} windows, {DEPTH} blocks"
+        report.compare(
+            f"update, {name}, {size}", "updates/s",
+            [rounds.Way(f"mpdt, {str(ours.backbone.dtype)[6:]}", "ours", ours.run, 1),
+             rounds.Way("mpdt, plain float32", "plain", plain.plain, 1),
+             rounds.Way("DecisionTransformerModel", "peer",
+                        decision_transformer(ours.dataset, ours), 1)],
+            [rounds.Target("mpdt, plain float32", 5.0)], few)  # fmt: skip
+        (half, work_half), (full, work_full) = product(torch.bfloat16), product(torch.float32)
+        report.compare(
+            f"arithmetic of an update, {name}", "FLOP/s",
+            [rounds.Way("mpdt", "ours", ours.run, ours.flops),
+             rounds.Way("matmul, bfloat16", "limit", half, work_half),
+             rounds.Way("matmul, float32", "limit", full, work_full)],
+            [rounds.Target("matmul, bfloat16", 0.5)], few)  # fmt: skip
 
 
 if __name__ == "__main__":
