@@ -85,7 +85,7 @@ def _family(data: str) -> tuple[Cell, ...]:
         *(
             _cell(data, method, _STARTS if method.startswith("MPDT") else {}, seed=seed)
             for seed in (1, 2)
-            for method in ("MPDT-E", "Prompt-DT", "MPDT-WP")
+            for method in ("MPDT-E", "Prompt-DT", "MPDT-WP", "MPDT-no-distillation")
         ),
     )
 
@@ -122,6 +122,8 @@ STUDIES: Mapping[str, tuple[Cell, ...]] = {
               label="Prompt-DT-long"),
         _cell(_VEL, "MPDT-mixed", {"multitask": {"steps": 3000}}, _STARTS, _EXPERT,
               label="mixed-long"),
+        _cell("mt10", "Prompt-DT", {"sampler": {"per_task": 4}, "multitask": {"steps": 6000}},
+              {"adapt": {"starts": ["infer"]}}, label="Prompt-DT-long"),
         _cell("mt10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["infer"]}},
               label="long"),
         _cell("ml10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["cross"]}}, _EXPERT,
