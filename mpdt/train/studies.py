@@ -124,10 +124,17 @@ STUDIES: Mapping[str, tuple[Cell, ...]] = {
               label="mixed-long"),
         _cell("mt10", "Prompt-DT", {"sampler": {"per_task": 4}, "multitask": {"steps": 6000}},
               {"adapt": {"starts": ["infer"]}}, label="Prompt-DT-long"),
+        _cell("mt10", "Prompt-DT", {"sampler": {"per_task": 4}, "multitask": {"steps": 16000}},
+              {"adapt": {"starts": ["infer"]}}, label="Prompt-DT-longest"),
         _cell("mt10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["infer"]}},
               label="long"),
         _cell("ml10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["cross"]}}, _EXPERT,
               label="long"),
+        # The weights of ml10.MPDT-no-distillation; few-shot tunes the map and the head as well.
+        _cell("ml10", "MPDT-no-distillation",
+              {"few_shot": {"qualities": ["expert"], "tuned": "all", "updates": 300},
+               "adapt": {"starts": ["none"]}, "evaluation": {"blocks": ["test"]}},
+              label="few-shot-all"),
     ),
 }  # fmt: skip
 
