@@ -49,6 +49,7 @@ _MANY: Mapping[str, Any] = {
 }
 _FEW: Mapping[str, Any] = {"teacher": {"steps": 200}, "multitask": {"steps": 400}}
 _STARTS = {"adapt": {"starts": ["cross", "infer", "infer_aligned"]}}
+_INFER = {"adapt": {"starts": ["infer"]}}
 _ALL_STARTS = ["cross", "cross_mean", "cross_one", "cross_random", "infer", "infer_aligned"]
 _EXPERT = {"few_shot": {"qualities": ["expert"]}}
 _LEVELS = {"few_shot": {"qualities": ["expert", "medium", "random", "mixed"]}}
@@ -69,7 +70,7 @@ def _family(data: str) -> tuple[Cell, ...]:
     return (
         _cell(data, "MPDT-no-distillation", _STARTS, _EXPERT),
         _cell(data, "MPDT-mixed", _STARTS, _EXPERT),
-        _cell(data, "Prompt-DT", {"adapt": {"starts": ["infer"]}}),
+        _cell(data, "Prompt-DT", _INFER),
         _cell(data, "MT-BC-FT"),
         _cell(data, "MPDT-E", _STARTS, _EXPERT),
         _cell(data, "MPDT", _STARTS, _EXPERT),
@@ -83,7 +84,7 @@ def _family(data: str) -> tuple[Cell, ...]:
         _cell(data, "MPDT+sparse", _STARTS),
         _cell(data, "Prompt-DT-TTA"),
         *(
-            _cell(data, method, _STARTS if method.startswith("MPDT") else {}, seed=seed)
+            _cell(data, method, _STARTS if method.startswith("MPDT") else _INFER, seed=seed)
             for seed in (1, 2)
             for method in ("MPDT-E", "Prompt-DT", "MPDT-WP", "MPDT-no-distillation")
         ),
@@ -118,15 +119,15 @@ STUDIES: Mapping[str, tuple[Cell, ...]] = {
         *(cell for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10")
           for cell in _family(data)),
         *_ABLATIONS,
-        _cell(_VEL, "Prompt-DT", {"multitask": {"steps": 5000}}, {"adapt": {"starts": ["infer"]}},
-              label="Prompt-DT-long"),
+        *(_cell(_VEL, "Prompt-DT", {"multitask": {"steps": 5000}}, _INFER, seed=seed,
+                label="Prompt-DT-long") for seed in (0, 1, 2)),
         _cell(_VEL, "MPDT-mixed", {"multitask": {"steps": 3000}}, _STARTS, _EXPERT,
               label="mixed-long"),
         _cell("mt10", "Prompt-DT", {"sampler": {"per_task": 4}, "multitask": {"steps": 6000}},
-              {"adapt": {"starts": ["infer"]}}, label="Prompt-DT-long"),
+              _INFER, label="Prompt-DT-long"),
         _cell("mt10", "Prompt-DT", {"sampler": {"per_task": 4}, "multitask": {"steps": 16000}},
-              {"adapt": {"starts": ["infer"]}}, label="Prompt-DT-longest"),
-        _cell("mt10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["infer"]}},
+              _INFER, label="Prompt-DT-longest"),
+        _cell("mt10", "MPDT-no-distillation", _LONG, _INFER,
               label="long"),
         _cell("ml10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["cross"]}}, _EXPERT,
               label="long"),
