@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mpdt.train.maps import prompt_maps
-from mpdt.train.summary import summarise
+from mpdt.train.maps import KEPT, prompt_maps
+from mpdt.train.summary import best_of_each, summarise, task_intervals
 
 if TYPE_CHECKING:
     from mpdt.train.summary import CellResult
@@ -26,19 +26,32 @@ _COLOURS = {
     "-": "0.6", "nothing": "tab:purple", "X": "tab:blue", "X+rewards": "tab:green",
     "labelled steps": "tab:orange", "demonstration": "tab:red",
 }  # fmt: skip
+_LINES = [f"C{number}" for number in range(10)]
 
 
 def plot_study(cells: Sequence[CellResult], folder: Path) -> list[Path]:
-    """Per data set: test tasks, losses of training, losses of adaptation."""
+    """Per data set: test tasks together and one by one, losses of training and of adaptation."""
     made = []
     for data in dict.fromkeys(cell.data for cell in cells):
         own = [cell for cell in cells if cell.data == data]
-        for name, draw in (("tasks", _bars), ("training", _training), ("adaptation", _adaptation)):
+        for name, draw in _PICTURES.items():
             made += _picture(folder / f"{data}-{name}.png", partial(draw, cells=own))
     return made
 
 
-def plot_prompts(weights: Path, folder: Path) -> list[Path]:
+def plot_kept_prompts(cells: Sequence[CellResult], results: Path, folder: Path) -> list[Path]:
+    """Per data set the maps of one cell, an `MPDT-E` if there is one; of what its study kept."""
+    made = []
+    for data in dict.fromkeys(cell.data for cell in cells):
+        own = [cell for cell in cells if cell.data == data]
+        own.sort(key=lambda cell: (cell.label != "MPDT-E", cell.seed))
+        kept = [results / f"{cell.content['cell']}{KEPT}" for cell in own]
+        for path in [path for path in kept if path.exists()][:1]:
+            made += plot_prompts(path, folder, f"{data}-prompts.png")
+    return made
+
+
+def plot_prompts(weights: Path, folder: Path, name: str = "prompts.png") -> list[Path]:
     """P_c and the first P_k of a trained run as maps (l, s); nothing for prompts of other kinds."""
     maps = prompt_maps(weights)
     if not maps:
@@ -51,8 +64,10 @@ def plot_prompts(weights: Path, folder: Path) -> list[Path]:
             size = float(np.quantile(np.abs(values), 0.99))
             axes.imshow(values, aspect="auto", cmap="RdBu", vmin=-size, vmax=size)
             axes.set_ylabel(name)
+            axes.set_yticks([])
+        axes.set_xlabel("embedding dimension; rows of a map are the tokens of the prompt")
 
-    return _picture(folder / "prompts.png", draw)
+    return _picture(folder / name, draw)
 
 
 def _picture(path: Path, draw: Callable[[Any], None]) -> list[Path]:
@@ -88,6 +103,26 @@ def _bars(figure: Any, cells: Sequence[CellResult]) -> None:
     figure.legend(title="reads", loc="outside right upper", fontsize=7)
 
 
+def _each_task(figure: Any, cells: Sequence[CellResult]) -> None:
+    """Every test task by itself: the trivial rows, and of each kind of reading the best row."""
+    rows = best_of_each(summarise(cells, "test"))
+    tasks = task_intervals(cells, "test")
+    names = [name for name in tasks if tasks[name]]
+    figure.set_figheight(1 + (0.5 + 0.2 * len(rows)) * len(names))
+    panels = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, task in zip(panels, names, strict=True):
+        for place, row in enumerate(rows[::-1]):
+            middle, low, high = tasks[task].get(row.method, (math.nan,) * 3)
+            if math.isfinite(middle):
+                ends = [[max(middle - low, 0)], [max(high - middle, 0)]]
+                axes.barh(place, middle, xerr=ends, color=_COLOURS[row.reads])
+        labels = [row.method if row.reads == "-" else f"{row.method} ({row.reads})" for row in rows]
+        axes.set_yticks(range(len(rows)), labels[::-1], fontsize=6)
+        axes.set_title(task, fontsize=8, loc="left")
+        axes.axvline(0, color="black", linewidth=0.5)
+    panels[-1].set_xlabel("mean return, 95 % interval")
+
+
 def _training(figure: Any, cells: Sequence[CellResult]) -> None:
     """Action loss of the last training phase of every cell."""
     _curves(figure, cells, "student", "action loss")
@@ -99,7 +134,11 @@ def _adaptation(figure: Any, cells: Sequence[CellResult]) -> None:
 
 
 def _curves(figure: Any, cells: Sequence[CellResult], phase: str, what: str) -> None:
+    from cycler import cycler  # comes with matplotlib
+
     axes = figure.subplots()
+    # Ten colours and three dashes: thirty lines that can be told apart.
+    axes.set_prop_cycle(cycler(linestyle=["-", "--", ":"]) * cycler(color=_LINES))
     for cell in cells:
         for name, points in cell.content.get("curve", {}).items():
             if name.startswith(phase):
@@ -110,4 +149,9 @@ def _curves(figure: Any, cells: Sequence[CellResult], phase: str, what: str) -> 
     axes.set_xlabel("updates")
     axes.set_ylabel(what)
     if axes.lines:
-        axes.legend(fontsize=6)
+        figure.legend(fontsize=5, loc="outside right upper")
+
+
+_PICTURES = {
+    "tasks": _bars, "each-task": _each_task, "training": _training, "adaptation": _adaptation,
+}  # fmt: skip

@@ -3,6 +3,7 @@
 runs/STUDY/CELL/            the run, resumable like any other
 results/STUDY/CELL.json     its results, small: a run counts as done when this is here and
                             of the same settings and data
+results/STUDY/CELL.prompts.safetensors    P_c and some P_k, to be drawn
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from mpdt.data.replacement import disk
 from mpdt.errors import MissingFileError, MpdtError
 from mpdt.train.config import TrainConfig, from_plain, to_plain
 from mpdt.train.identity import identify, plain_settings
+from mpdt.train.maps import KEPT, keep_prompts
 from mpdt.train.material import load_material
 from mpdt.train.methods import apply_method, merge
 from mpdt.train.pipeline import run_pipeline
@@ -55,6 +57,9 @@ class Places:
 
     def result(self, cell: Cell) -> Path:
         return self.results / f"{cell.name}.json"
+
+    def prompts(self, cell: Cell) -> Path:
+        return self.results / f"{cell.name}{KEPT}"
 
 
 def configure(cell: Cell) -> TrainConfig:
@@ -111,6 +116,7 @@ def _run_cell(cell: Cell, places: Places, progress: Progress, stop: StopRequest)
     }
     with disk(places.results):
         places.results.mkdir(parents=True, exist_ok=True)
+    keep_prompts(places.runs / cell.name / "weights.safetensors", places.prompts(cell))
     write_atomic(places.result(cell), encode_cell(results | extra))
 
 

@@ -37,7 +37,7 @@ def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
     for table in rich_tables(tables):
         console.print(table)
     if output is not None:
-        from mpdt.train.plots import plot_study
+        from mpdt.train.plots import plot_kept_prompts, plot_study
 
         with disk(output):
             output.mkdir(parents=True, exist_ok=True)
@@ -45,3 +45,4 @@ def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
         write_atomic(output / "tables.md", markdown.encode())
         write_atomic(output / "tables.csv", cells_csv(cells).encode())
         plot_study(cells, output)
+        plot_kept_prompts(cells, folder, output)

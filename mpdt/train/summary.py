@@ -91,6 +91,38 @@ def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:
     return [_row(by_method[m], m) for m in [*first, *(m for m in by_method if m not in first)]]
 
 
+def best_of_each(rows: Sequence[Row]) -> list[Row]:
+    """The references, then of each kind of reading the method that earns most."""
+    best: dict[str, Row] = {}
+    for row in rows:
+        known = best.get(row.reads)
+        if row.method not in REFERENCES and (known is None or row.mean > known.mean):
+            best[row.reads] = row
+    return [row for row in rows if row.method in REFERENCES] + list(best.values())
+
+
+def task_intervals(
+    cells: Sequence[CellResult], block: Block
+) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """task -> method -> mean return and its interval, over seeds as in `summarise`."""
+    found: dict[str, dict[str, list[Score]]] = {}
+    for cell in cells:
+        for score in cell.scores:
+            if score.block == block and score.task != MEAN:
+                found.setdefault(score.task, {}).setdefault(score.method, []).append(score)
+    return {
+        task: {method: _interval_of(method, scores) for method, scores in methods.items()}
+        for task, methods in found.items()
+    }
+
+
+def _interval_of(method: str, scores: Sequence[Score]) -> tuple[float, float, float]:
+    if method in REFERENCES or len(scores) == 1:
+        return scores[0].mean, scores[0].low, scores[0].high
+    means = np.array([[score.mean] for score in scores])
+    return (float(means.mean()), *stratified_interval(means, mean))
+
+
 def _row(runs: Sequence[Sequence[Score]], method: str) -> Row:
     tasks = [score.task for score in runs[0] if score.task != MEAN]
     means, levels = (_matrix(runs, tasks, name) for name in ("mean", "normalised"))

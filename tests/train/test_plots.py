@@ -3,11 +3,13 @@
 import importlib.util
 import logging
 
+import numpy as np
 import pytest
 import torch
 
 from mpdt.model.weights import WeightsHeader, save_weights
-from mpdt.train.plots import plot_prompts, plot_study
+from mpdt.train.maps import KEPT, MAPS, keep_prompts, prompt_maps
+from mpdt.train.plots import plot_kept_prompts, plot_prompts, plot_study
 from mpdt.train.results import MEAN, Score
 from mpdt.train.summary import CellResult
 
@@ -17,7 +19,7 @@ SCORES = tuple(
     for task in ("a", MEAN)
 )  # fmt: skip
 CURVES = {"student": [[1, 0.5], [2, 0.1]], "adapt cross": [[0, 2.0], [1, 1.5]]}
-CELLS = [CellResult("d", "m", 0, SCORES, {"curve": CURVES})]
+CELLS = [CellResult("d", "m", 0, SCORES, {"curve": CURVES, "cell": "d.m.s0"})]
 
 
 @pytest.fixture
@@ -38,13 +40,38 @@ def test_without_matplotlib_nothing_is_drawn_and_that_is_said(monkeypatch, tmp_p
 def test_a_study_and_the_prompts_are_drawn(tmp_path, weights):
     pytest.importorskip("matplotlib")
     made = plot_study(CELLS, tmp_path / "out")
-    names = ["d-tasks.png", "d-training.png", "d-adaptation.png"]
+    names = ["d-tasks.png", "d-each-task.png", "d-training.png", "d-adaptation.png"]
     assert [path.name for path in made] == names and all(p.stat().st_size > 5000 for p in made)
     (maps,) = plot_prompts(weights, tmp_path / "out")
     assert maps.name == "prompts.png"
+
+
+def test_of_a_study_the_prompts_that_it_kept_are_drawn(tmp_path, weights):
+    pytest.importorskip("matplotlib")
+    assert keep_prompts(weights, tmp_path / f"d.m.s0{KEPT}")
+    (maps,) = plot_kept_prompts(CELLS, tmp_path, tmp_path / "out")
+    assert maps.name == "d-prompts.png"
+    assert plot_kept_prompts(CELLS, tmp_path / "elsewhere", tmp_path / "out") == []
+
+
+def test_what_is_kept_is_drawn_as_the_whole_would_be(tmp_path):
+    v, u = torch.rand(MAPS + 2, 3, 2), torch.rand(MAPS + 2, 2, 4)
+    tensors = {"prompts.cross": torch.rand(3, 4), "prompts.task_v": v, "prompts.task_u": u,
+               "policy.head": torch.ones(9)}  # fmt: skip
+    save_weights(tmp_path / "w.safetensors", tensors, WeightsHeader(kind="mpdt"))
+    keep_prompts(tmp_path / "w.safetensors", tmp_path / "kept.safetensors")
+    whole, kept = (
+        prompt_maps(tmp_path / "w.safetensors"),
+        prompt_maps(tmp_path / "kept.safetensors"),
+    )
+    assert list(kept) == list(whole) == ["P_c", *(f"P_{k}" for k in range(MAPS))]
+    torch.testing.assert_close(torch.from_numpy(whole["P_9"]), v[9] @ u[9])
+    for name, values in whole.items():
+        assert np.abs(kept[name] - values).max() < 3e-3, name
 
 
 def test_prompts_of_other_kinds_have_no_maps(tmp_path):
     path = tmp_path / "w.safetensors"
     save_weights(path, {"prompts.cross": torch.ones(3, 4)}, WeightsHeader(kind="mpdt"))
     assert plot_prompts(path, tmp_path) == []
+    assert not keep_prompts(path, tmp_path / "kept") and not (tmp_path / "kept").exists()

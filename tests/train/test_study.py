@@ -13,7 +13,16 @@ from mpdt.train.results import MEAN, Score
 from mpdt.train.state import StopRequest
 from mpdt.train.studies import STUDIES, Cell, get_study
 from mpdt.train.study import Places, configure, inspect_cell, run_study
-from mpdt.train.summary import CellResult, cells_csv, is_study, read_cells, study_tables, summarise
+from mpdt.train.summary import (
+    CellResult,
+    best_of_each,
+    cells_csv,
+    is_study,
+    read_cells,
+    study_tables,
+    summarise,
+    task_intervals,
+)
 
 TINY = {
     "inputs": {"time_table": 16}, "evaluation": {"horizon": 3, "episodes": 2},
@@ -41,7 +50,9 @@ def test_cells_are_run_skipped_failed_and_left_out(places):
     assert [state for _, state in first] == ["done", "failed", "done", "no data"]
     assert first[2][0] == "tiny.short.s1"
     stored = sorted(path.name for path in places.results.iterdir())
-    assert stored == ["tiny.Soft-Prompt-TTA.s0.json", "tiny.short.s1.json"]
+    assert stored == [
+        "tiny.Soft-Prompt-TTA.s0.json", "tiny.short.s1.json", "tiny.short.s1.prompts.safetensors"
+    ]  # fmt: skip
     before = (places.runs / "tiny.short.s1/weights.safetensors").stat().st_mtime_ns
     assert [s for _, s in states([ONE, TWO], places)] == ["done", "done"]
     assert (places.runs / "tiny.short.s1/weights.safetensors").stat().st_mtime_ns == before
@@ -126,6 +137,20 @@ def test_seeds_are_put_together_by_hand():
 def test_one_seed_has_the_interval_of_its_episodes_and_none_of_runs():
     _, row = summarise([cell(0, 2.0, 4.0)], "test")
     assert row.interval == (2.0, 4.0) and math.isnan(row.iqm_interval[0])
+
+
+def test_task_by_task_seeds_are_put_together_and_references_are_not():
+    """Task b: 4 of one seed, 6 of the other. One seed alone keeps the interval of its episodes."""
+    both = task_intervals([cell(0, 2.0, 4.0), cell(1, 4.0, 6.0)], "test")
+    assert both["b"] == {"zero action": (0.0, 3.0, 5.0), "m infer": (5.0, 4.0, 6.0)}
+    assert task_intervals([cell(1, 4.0, 6.0)], "test")["b"]["m infer"] == (6.0, 5.0, 7.0)
+
+
+def test_the_best_of_each_kind_of_reading_stays():
+    cells = [cell(0, 2.0, 4.0), cell(0, 1.0, 3.0, label="worse"), cell(0, 3.0, 5.0, label="best")]
+    assert [row.method for row in best_of_each(summarise(cells, "test"))] == [
+        "zero action", "best infer"
+    ]  # fmt: skip
 
 
 def test_tables_tell_what_was_not_run(monkeypatch):
