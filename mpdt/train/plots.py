@@ -26,7 +26,6 @@ _COLOURS = {
     "-": "0.6", "nothing": "tab:purple", "X": "tab:blue", "X+rewards": "tab:green",
     "labelled steps": "tab:orange", "demonstration": "tab:red",
 }  # fmt: skip
-_LINES = [f"C{number}" for number in range(10)]
 
 
 def plot_study(cells: Sequence[CellResult], folder: Path) -> list[Path]:
@@ -135,10 +134,13 @@ def _adaptation(figure: Any, cells: Sequence[CellResult]) -> None:
 
 def _curves(figure: Any, cells: Sequence[CellResult], phase: str, what: str) -> None:
     from cycler import cycler  # comes with matplotlib
+    from matplotlib import colormaps
 
     axes = figure.subplots()
     # Ten colours and three dashes: thirty lines that can be told apart.
-    axes.set_prop_cycle(cycler(linestyle=["-", "--", ":"]) * cycler(color=_LINES))
+    axes.set_prop_cycle(
+        cycler(linestyle=["-", "--", ":"]) * cycler(color=colormaps["tab10"].colors)
+    )
     for cell in cells:
         for name, points in cell.content.get("curve", {}).items():
             if name.startswith(phase):
