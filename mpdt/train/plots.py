@@ -139,7 +139,7 @@ def _curves(figure: Any, cells: Sequence[CellResult], phase: str, what: str) -> 
     axes = figure.subplots()
     # Ten colours and three dashes: thirty lines that can be told apart.
     axes.set_prop_cycle(
-        cycler(linestyle=["-", "--", ":"]) * cycler(color=colormaps["tab10"].colors)
+        cycler(linestyle=["-", "--", ":"]) * cycler(color=list(colormaps["tab10"](range(10))))
     )
     for cell in cells:
         for name, points in cell.content.get("curve", {}).items():
