@@ -50,6 +50,10 @@ _MANY: Mapping[str, Any] = {
 _FEW: Mapping[str, Any] = {"teacher": {"steps": 200}, "multitask": {"steps": 400}}
 _STARTS = {"adapt": {"starts": ["cross", "infer", "infer_aligned"]}}
 _INFER = {"adapt": {"starts": ["infer"]}}
+_NEAREST = {
+    "adapt": {"starts": ["infer", "infer_aligned"], "infer": {"tasks": 1}},
+    "evaluation": {"blocks": ["test"]},
+}
 _ALL_STARTS = ["cross", "cross_mean", "cross_one", "cross_random", "infer", "infer_aligned"]
 _EXPERT = {"few_shot": {"qualities": ["expert"]}}
 _LEVELS = {"few_shot": {"qualities": ["expert", "medium", "random", "mixed"]}}
@@ -131,7 +135,12 @@ STUDIES: Mapping[str, tuple[Cell, ...]] = {
               label="long"),
         _cell("ml10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["cross"]}}, _EXPERT,
               label="long"),
-        # The weights of ml10.MPDT-no-distillation; few-shot tunes the map and the head as well.
+        *(_cell(_VEL, "MPDT-mixed", _STARTS, seed=seed) for seed in (1, 2)),
+        # Other judgements of the weights of MPDT-no-distillation (of mt10: of `long`): the nearest
+        # task's prompt alone, and few-shot that tunes the map and the head as well.
+        *(_cell(_VEL, "MPDT-no-distillation", _NEAREST, seed=seed, label="nearest")
+          for seed in (0, 1, 2)),
+        _cell("mt10", "MPDT-no-distillation", _LONG, _NEAREST, label="long-nearest"),
         _cell("ml10", "MPDT-no-distillation",
               {"few_shot": {"qualities": ["expert"], "tuned": "all", "updates": 300},
                "adapt": {"starts": ["none"]}, "evaluation": {"blocks": ["test"]}},
