@@ -46,7 +46,11 @@ class Candidate:
 
 
 class UnseenTasks:
-    """Makes the candidates of one trained policy, in the order of the table."""
+    """Makes the candidates of one trained policy, in the order of the table.
+
+    Attributes:
+        returns: what is asked of the test tasks, one row each.
+    """
 
     def __init__(self, trainer: Trainer, trained: Trained) -> None:
         self._trainer, self._trained = trainer, trained
@@ -63,7 +67,7 @@ class UnseenTasks:
                 self._material.family.action_low, self._material.family.action_high,
             )  # fmt: skip
             presets = self._x.presets
-        self._returns = unseen_returns(trained.returns, self._config.adapt, presets)
+        self.returns = unseen_returns(trained.returns, self._config.adapt, presets)
 
     def candidates(self) -> Iterator[Candidate]:
         """Adapted, few-shot, not adapted. Raises: Stopped after a signal; DataError."""
@@ -74,7 +78,7 @@ class UnseenTasks:
                 reads: Reads = "X+rewards" if settings.returns == "decrement" else "X"
                 reads = "X+rewards" if start in INFERRED else reads
                 prompts = self._adapt(start, source)
-                yield Candidate(_LABELS[start], self.controller(prompts, self._returns), reads)
+                yield Candidate(_LABELS[start], self.controller(prompts, self.returns), reads)
         yield from self._few_shot()
         if self._config.few_shot.demonstration:
             yield self._demonstrated()
@@ -82,7 +86,7 @@ class UnseenTasks:
         if self._config.prompts.kind != "decomposed":
             label = "not adapted"
         prompts = self._start(NOT_ADAPTED).task_prompts().detach()
-        yield Candidate(label, self.controller(prompts, self._returns), "nothing")
+        yield Candidate(label, self.controller(prompts, self.returns), "nothing")
 
     def controller(self, prompts: Tensor, returns: ReturnTable) -> PromptController:
         family = self._material.family
@@ -110,7 +114,7 @@ class UnseenTasks:
         elif start == "cross_one" and self._shows:
             weights = self._best_donors()
         return adapt(
-            self._trained.policy, self._trained.prompts, start, self._x, self._returns, source,
+            self._trained.policy, self._trained.prompts, start, self._x, self.returns, source,
             settings, self._config.statistics.axes, self._seed, on_step, weights,
         )  # fmt: skip
 
@@ -142,11 +146,11 @@ class UnseenTasks:
                 start = self._start(settings.start)
             tuned = tune(
                 self._trained.policy, start, labelled, self._rows,
-                self._config.sampler.window, self._returns, settings, self._seed, on_step,
+                self._config.sampler.window, self.returns, settings, self._seed, on_step,
             )  # fmt: skip
             family = self._material.family
             controllers = [
-                PromptController(policy, prompt, self._returns.select(torch.tensor([i])),
+                PromptController(policy, prompt, self.returns.select(torch.tensor([i])),
                                  self._config.sampler.window, family.action_low,
                                  family.action_high)
                 for i, (policy, prompt) in enumerate(tuned)
@@ -156,7 +160,7 @@ class UnseenTasks:
     def _demonstrated(self) -> Candidate:
         """An expert episode's steps of the test task itself: Prompt-DT's few-shot setting."""
         prompts = self._demonstrations().task_prompts().detach()
-        controller = self.controller(prompts, self._returns)
+        controller = self.controller(prompts, self.returns)
         return Candidate("expert demonstration", controller, "demonstration")
 
     def _demonstrations(self) -> DemonstrationPrompts:
@@ -168,7 +172,7 @@ class UnseenTasks:
         shown = sample_demonstrations(
             self._material, self._config.prompts.length, self._seed, self._rows
         )
-        return trained.showing(as_batch(shown), self._returns)
+        return trained.showing(as_batch(shown), self.returns)
 
     def inferred(self) -> Tensor:
         """Weights (n, N) of the training tasks, from X and its rewards; computed once."""
