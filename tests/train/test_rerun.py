@@ -1,41 +1,23 @@
-"""The same folder again: judged anew, continued, refused, or busy; whole runs as typed."""
+"""The same folder again: judged anew, continued, refused, or busy; adapted without training."""
 
 import json
 import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from mpdt.errors import StorageError
 from mpdt.train.cli import main
 from mpdt.train.config import TrainConfig
-from mpdt.train.folder import claimed, inspect, locate
-from mpdt.train.identity import Identity, identify
+from mpdt.train.folder import claimed, locate
+from mpdt.train.identity import identify
 from mpdt.train.material import load_material
 
-QUICK = ["--preset", "smoke", "--threads", "1", "--statistics.batches", "1", "--evaluation.horizon",
-         "3", "--evaluation.no-constants", "--multitask.log-every", "6"]  # fmt: skip
-
-
-def call(*arguments):
-    """Exit code of one call."""
-    with pytest.raises(SystemExit) as stopped:
-        main([str(argument) for argument in arguments])
-    return stopped.value.code
+from .command import QUICK, call, names_in
 
 
 def results_of(folder):
     return json.loads((folder / "results.json").read_text())
-
-
-def names_in(folder):
-    return sorted(path.name for path in folder.iterdir())
 
 
 @pytest.fixture(scope="module")
@@ -209,95 +191,6 @@ def test_a_second_process_is_refused_by_name(again, tiny_file, capsys):
     assert not own.lock.exists()
 
 
-@pytest.mark.parametrize("place", ["file", "inside", "link"])
-def test_a_folder_that_cannot_be(tiny_file, tmp_path, capsys, place):
-    (tmp_path / "r").write_text("mine") if place == "file" else None
-    (tmp_path / "runs").write_text("mine") if place == "inside" else None
-    (tmp_path / "r").symlink_to(tmp_path / "nowhere" / "x") if place == "link" else None
-    before = names_in(tmp_path)
-    runs = tmp_path / "runs" if place == "inside" else tmp_path
-    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", runs, "--name", "r"]
-    for extra in ([], ["--restart"]):
-        assert call(*arguments, *extra, "-q") == 1
-        error = capsys.readouterr().err
-        assert error.startswith("error: ") and "a file is in the way" in error
-        assert names_in(tmp_path) == before
-
-
-def test_no_permission_is_said_before_the_backbone_is_loaded(
-    tiny_file, tmp_path, capsys, monkeypatch
-):
-    from mpdt.train import folder
-
-    monkeypatch.setattr(folder.os, "access", lambda path, mode: path != tmp_path)
-    assert call("--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r") == 1
-    error = capsys.readouterr().err
-    assert "no permission to write there" in error and "backbone" not in error
-
-
-def test_a_folder_that_cannot_be_read_is_one_clear_error(tmp_path, monkeypatch):
-    def refuse(path):
-        raise PermissionError(13, "Permission denied")
-
-    (tmp_path / "r").mkdir()
-    monkeypatch.setattr(Path, "iterdir", refuse)
-    with pytest.raises(StorageError, match="Permission denied"):
-        inspect(locate(tmp_path, "r"), Identity({}, {}), restart=False)
-
-
-def test_a_full_disk_leaves_no_folder(tiny_file, tmp_path, monkeypatch, capsys):
-    from mpdt.train import folder
-
-    def full(path, content):
-        raise StorageError("the disk is full", where=str(path))
-
-    monkeypatch.setattr(folder, "write_atomic", full)
-    assert call("--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r", "-q") == 1
-    assert "the disk is full" in capsys.readouterr().err
-    assert names_in(tmp_path) == []
-
-
-@pytest.mark.parametrize("leftover", ["run.pid", "config.json.tmp"])
-def test_a_kill_in_the_first_moment_does_not_block_the_name(
-    tiny_file, tmp_path, leftover, monkeypatch
-):
-    identity = identify(TrainConfig(), load_material(str(tiny_file), "auto"))
-    own = locate(tmp_path, "r")
-    own.path.mkdir()
-    (own.path / leftover).write_text("1")
-    with claimed(own, identity, restart=False):
-        assert own.config.exists()
-
-
-WAIT = """
-import builtins, sys, time
-real = builtins.__import__
-def slow(name, *rest):
-    if name == "torch" or name.startswith("mpdt.train.pipeline"):
-        print("importing", flush=True)
-        try:
-            time.sleep(60)
-        except BaseException as error:
-            raise ImportError("as libraries do") from error
-    return real(name, *rest)
-builtins.__import__ = slow
-from mpdt.train.cli import main
-main(sys.argv[1:])
-"""
-
-
-def test_ctrl_c_while_libraries_are_imported(tiny_file):
-    process = subprocess.Popen(
-        [sys.executable, "-c", WAIT, "--data", str(tiny_file)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert process.stdout.readline() == "importing\n"
-    time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=30)
-    assert process.returncode == 130 and error == "\ninterrupted\n"
-
-
 def test_a_stored_run_is_adapted_and_evaluated_without_training(again, tiny_file, capsys):
     """`adapt` judges the test tasks alone, `evaluate` all; both leave the weights as they were."""
     folder, _ = again
@@ -361,17 +254,3 @@ def test_another_family_or_other_episodes_are_named(again, tiny_file, monkeypatc
     error = capsys.readouterr().err
     assert "was trained on other episodes; expected " in error and "found 000000000000" in error
     assert "take the file it was trained on" in error
-
-
-def test_one_training_task_is_too_few_for_a_shared_prompt(tiny_file, tmp_path, monkeypatch, capsys):
-    from dataclasses import replace
-
-    from mpdt.train import pipeline
-
-    monkeypatch.setattr(
-        pipeline, "load_material", lambda *a: replace(load_material(*a), train_rows=(0,))
-    )
-    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "one"]
-    assert call(*arguments) == 1
-    assert "expected at least 2 training tasks" in capsys.readouterr().err
-    assert not (tmp_path / "one").exists()
