@@ -114,8 +114,8 @@ _ABLATIONS: tuple[Cell, ...] = (
                 label=f"length-{length}") for length in (3, 9, 60, 90)),
         *(_cell(_VEL, "MPDT-no-distillation", {"backbone": {"depth": depth}}, _STARTS,
                 label=f"depth-{depth}") for depth in (1, 2, 8)),
-        _cell(_VEL, "MPDT-no-distillation", {"prompts": {"task_init": "ones"}}, _STARTS,
-              label="ones"),
+        *(_cell(_VEL, "MPDT-no-distillation", {"prompts": {"task_init": "ones"}}, _STARTS,
+                _EXPERT, seed=seed, label="ones") for seed in (0, 1, 2)),
 )  # fmt: skip
 
 STUDIES: Mapping[str, tuple[Cell, ...]] = {
