@@ -19,36 +19,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from trained import SEED, open_run
 
 from mpdt.errors import MpdtError
-from mpdt.model.backbone import from_settings
-from mpdt.train.config import from_plain
 from mpdt.train.evaluate import Evaluation, SimulatorCache, evaluate
-from mpdt.train.folder import locate
-from mpdt.train.identity import identify
-from mpdt.train.material import load_material
-from mpdt.train.progress import Progress
-from mpdt.train.run import Trainer
-from mpdt.train.show import read_results
-from mpdt.train.state import StopRequest
 from mpdt.train.unseen import UnseenTasks
-
-SEED = 1000
 
 
 def matrix(run: Path, data: str, episodes: int) -> tuple[list[str], Evaluation]:
     """Names of the prompts (M); returns and successes of M x n tasks, the tasks innermost."""
-    config = from_plain(read_results(run)["config"])
-    torch.set_num_threads(config.threads or 1)
-    material = load_material(data, config.quality)
-    training = identify(config, material).hashes["training"]
-    progress = Progress()
-    trainer = Trainer(
-        material, config, from_settings(config.backbone), locate(run.parent, run.name), progress,
-        StopRequest(), run_hash=training,
-    )  # fmt: skip
-    trainer.prepare()
-    trained = trainer.train()
+    trainer, trained = open_run(run, data)
+    material, settings = trainer.material, trainer.config.evaluation
     names = [material.dataset.tasks.names[row] for row in material.train_rows]
     with torch.no_grad():
         prompts = trained.prompts.task_prompts()
@@ -64,8 +45,8 @@ def matrix(run: Path, data: str, episodes: int) -> tuple[list[str], Evaluation]:
     )
     found = evaluate(
         controller, material.family, material.tasks(material.test_rows) * len(prompts),
-        material.options, config.evaluation.horizon or material.horizon, episodes, SEED,
-        config.evaluation.max_rows, lambda done, total: progress.update("prompts", done, total),
+        material.options, settings.horizon or material.horizon, episodes, SEED, settings.max_rows,
+        lambda done, total: trainer.progress.update("prompts", done, total),
         SimulatorCache().make, partial(material.goal_key, block="test"),
     )  # fmt: skip
     return names, found
