@@ -38,8 +38,9 @@ _CLIP = 10.0  # standard deviations; an unseen task may show what no training ta
 class InferSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The reward model and how many training tasks may be mixed."""
 
-    tasks: int = 2
-    """Training tasks that may share the weight: 1 = the nearest alone."""
+    tasks: int = 1
+    """Training tasks that may share the weight: 1 = the nearest alone. More only where prompts were
+    made to be averaged: `prompts.task_init` ones, or `mixing`."""
     hidden: int = 128
     """Width of the two hidden layers."""
     steps: int = 3000

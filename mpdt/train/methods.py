@@ -23,6 +23,7 @@ from mpdt.train.config import TrainConfig, from_plain, to_plain
 Changes = Mapping[str, Any]
 
 _NO_TEACHER: Changes = {"teacher": {"distillation": "none"}}
+_MIXTURE: Changes = {"adapt": {"infer": {"tasks": 2}}}
 _UNADAPTED: Changes = {"adapt": {"starts": ["none"]}}
 _FROM_SCRATCH: Changes = {"backbone": {"name": "random:prompt-dt", "depth": None, "frozen": False}}
 _THREE_TOKENS: Changes = {
@@ -48,7 +49,9 @@ METHODS: Mapping[str, tuple[Changes, ...]] = {
     "MPDT+sparse": ({"multitask": {"sparse": 0.2}},),
     "MPDT-no-distillation": (_NO_TEACHER,),
     # Ours: half of the time a training task acts with the mixture `infer` would find for it.
-    "MPDT-mixed": (_NO_TEACHER, {"mixing": {"share": 0.5}}),
+    "MPDT-mixed": (_NO_TEACHER, {"mixing": {"share": 0.5}}, _MIXTURE),
+    # Ours: every P_k starts near one, so prompts stay near each other and can be averaged.
+    "MPDT-ones": (_NO_TEACHER, {"prompts": {"task_init": "ones"}}, _MIXTURE),
     "Soft-Prompt": (_SHARED, _NO_TEACHER, _UNADAPTED),
     "Soft-Prompt-TTA": (_SHARED, _NO_TEACHER, {"adapt": {"starts": ["cross"]}}),
     "Prompt-DT": (_FROM_SCRATCH, _THREE_TOKENS, _PROMPT_DT, _NO_TEACHER, _UNADAPTED,
