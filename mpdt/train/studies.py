@@ -135,6 +135,10 @@ STUDIES: Mapping[str, tuple[Cell, ...]] = {
               _INFER, label="Prompt-DT-long"),
         _cell("mt10", "Prompt-DT", {"sampler": {"per_task": 4}, "multitask": {"steps": 16000}},
               _INFER, label="Prompt-DT-longest"),
+        # Neither return-to-go nor time: goals at other distances shift both.
+        _cell("mt10", "Prompt-DT", {"sampler": {"per_task": 4}, "multitask": {"steps": 8000},
+                                    "inputs": {"return_to_go": "none", "time_table": 0}},
+              _INFER, label="Prompt-DT-reactive"),
         _cell("mt10", "MPDT-no-distillation", _LONG, _INFER,
               label="long"),
         _cell("ml10", "MPDT-no-distillation", _LONG, {"adapt": {"starts": ["cross"]}}, _EXPERT,
