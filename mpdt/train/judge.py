@@ -71,7 +71,7 @@ class Judge:
             with torch.no_grad():
                 own = unseen.controller(self.trained.prompts.task_prompts(), self.trained.returns)
             label = f"{config.method} own prompts"
-            scores += self._score("test", label, material.test_rows, own, "nothing")
+            scores += self._score("test", label, material.test_rows, own, "task id")
         if references and same and material.one_table:
             # The same episodes: a trivial policy is run on a task once.
             scores += [msgspec.structs.replace(score, block="test") for score in references]

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 _COLOURS = {
-    "-": "0.6", "nothing": "tab:purple", "X": "tab:blue", "X+rewards": "tab:green",
+    "-": "0.6", "nothing": "tab:purple", "task id": "tab:olive", "X": "tab:blue",
+    "X+rewards": "tab:green",
     "labelled steps": "tab:orange", "demonstration": "tab:red",
 }  # fmt: skip
 

@@ -30,8 +30,9 @@ ZERO, RANDOM, CONSTANT, EXPERT = "zero action", "random", "best constant", "expe
 REFERENCES = (ZERO, RANDOM, CONSTANT, EXPERT)
 TRIVIAL = (ZERO, RANDOM)
 """Methods that any policy has to beat before it has learnt something."""
-Reads = Literal["nothing", "X", "X+rewards", "labelled steps", "demonstration"]
-"""What was read of a test task before its first step: the set X, its simulator's rewards, ..."""
+Reads = Literal["nothing", "task id", "X", "X+rewards", "labelled steps", "demonstration"]
+"""What was read of a test task before its first step: which training task it is with another goal,
+the set X, its simulator's rewards, labelled steps, ..."""
 
 
 class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

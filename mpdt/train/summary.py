@@ -3,8 +3,9 @@
     results/STUDY/CELL.json  ──>  per data set: what each method earns on the test tasks,
                                   what it read of them, and how well the training tasks go
 
-Intervals: with several seeds, runs are resampled inside every task (`aggregate.py`); with one
-seed, the evaluation episodes are, which says nothing about other seeds and is marked `1 seed`.
+Intervals of a mean return: with several seeds Student's t over the seeds; with one seed its
+evaluation episodes are resampled, which says nothing about other seeds. Of an IQM: the stratified
+bootstrap of its authors, too narrow for a few seeds (`aggregate.py`).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.errors import FormatError
-from mpdt.train.aggregate import iqm, mean, stratified_interval
+from mpdt.train.aggregate import iqm, seed_interval, stratified_interval
 from mpdt.train.report import Table
 from mpdt.train.results import MEAN, REFERENCES, Block, Score
 from mpdt.train.show import scores_in
@@ -118,19 +119,24 @@ def task_intervals(
 
 def _interval_of(method: str, scores: Sequence[Score]) -> tuple[float, float, float]:
     if method in REFERENCES or len(scores) == 1:
-        return scores[0].mean, scores[0].low, scores[0].high
+        return (scores[0].mean, *_of_episodes(scores[0]))
     means = np.array([[score.mean] for score in scores])
-    return (float(means.mean()), *stratified_interval(means, mean))
+    return (float(means.mean()), *seed_interval(means))
+
+
+def _of_episodes(score: Score) -> tuple[float, float]:
+    """Of one seed; unknown where every task has one episode, which resampling cannot move."""
+    return (score.low, score.high) if score.low < score.high else (math.nan, math.nan)
 
 
 def _row(runs: Sequence[Sequence[Score]], method: str) -> Row:
     tasks = [score.task for score in runs[0] if score.task != MEAN]
     means, levels = (_matrix(runs, tasks, name) for name in ("mean", "normalised"))
     overall = [score for run in runs for score in run if score.task == MEAN]
-    interval = (overall[0].low, overall[0].high)
+    interval = _of_episodes(overall[0])
     level_interval = (math.nan, math.nan)
     if len(runs) > 1:
-        interval = stratified_interval(means, mean)
+        interval = seed_interval(means)
         level_interval = stratified_interval(levels, iqm)
     shares = [score.success for score in overall if score.success is not None]
     return Row(

@@ -35,6 +35,8 @@ from mpdt.train.results import Reads
 from mpdt.train.run import Trained, Trainer, phase_seed
 from mpdt.train.statistics import LayerStatistics, source_statistics
 
+DONOR_BATCHES = 4  # of all training tasks, to choose the one whose demonstration stands for all
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -155,7 +157,8 @@ class UnseenTasks:
                                  family.action_high)
                 for i, (policy, prompt) in enumerate(tuned)
             ]  # fmt: skip
-            yield Candidate(f"few-shot {quality}", PerTaskController(controllers), "labelled steps")
+            reads: Reads = "demonstration" if settings.demonstration else "labelled steps"
+            yield Candidate(f"few-shot {quality}", PerTaskController(controllers), reads)
 
     def _demonstrated(self) -> Candidate:
         """An expert episode's steps of the test task itself: Prompt-DT's few-shot setting."""
@@ -223,19 +226,24 @@ class UnseenTasks:
 
     @torch.no_grad()
     def _best_donors(self) -> Tensor:
-        """Weights (n, N): all on the training task whose prompt imitates all of them best."""
+        """Weights (n, N): all on the training task whose prompt imitates all of them best.
+
+        Every training task counts the same, however many of them an update takes.
+        """
         trained, sampler = self._trained, self._trainer.sampler("statistics")
-        parts, losses = trained.prompts.task_parts(), []
-        for part in parts:
-            windows = sampler.batch(0)
+        sampler.num_slots, sampler.start_bias = len(self._material.train_rows), 0
+        parts = trained.prompts.task_parts()
+        losses = np.zeros(len(parts))
+        for number in range(DONOR_BATCHES):
+            windows = sampler.batch(number)
             batch, slots = as_batch(windows), torch.from_numpy(windows.slots)
-            output = trained.policy(
-                batch, part.expand(len(slots), *part.shape), trained.returns.select(slots)
-            )
             assert batch.actions is not None
-            losses.append(float(action_loss(output.actions, batch.actions, batch.mask)))
+            returns = trained.returns.select(slots)
+            for k, part in enumerate(parts):
+                output = trained.policy(batch, part.expand(len(slots), *part.shape), returns)
+                losses[k] += float(action_loss(output.actions, batch.actions, batch.mask))
         weights = torch.zeros(len(self._rows), len(parts))
-        weights[:, int(np.argmin(losses))] = 1
+        weights[:, int(losses.argmin())] = 1
         return weights
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mpdt.train.aggregate import iqm, mean, stratified_interval
+from mpdt.train.aggregate import iqm, mean, seed_interval, stratified_interval
 
 
 def test_iqm_by_hand():
@@ -31,3 +31,25 @@ def test_same_seed_same_interval():
     scores = np.random.Generator(np.random.PCG64(0)).normal(size=(3, 4))
     assert stratified_interval(scores) == stratified_interval(scores)
     assert stratified_interval(scores) != stratified_interval(scores, seed=1)
+
+
+def test_seeds_by_hand():
+    """Means 0, 1, 2: spread 1, t(2) = 4.303. Which task a seed fails in does not matter."""
+    reach = 4.3027 / 3**0.5
+    expected = pytest.approx((1 - reach, 1 + reach), abs=1e-3)
+    assert seed_interval(np.array([[0.0, 0], [1, 1], [2, 2]])) == expected
+    assert seed_interval(np.array([[0.0, 0], [2, 0], [0, 4]])) == expected
+    with pytest.raises(ValueError, match="one seed"):
+        seed_interval(np.array([[1.0, 2.0]]))
+
+
+def test_seeds_that_are_bad_everywhere_are_covered():
+    """Tasks share their seed's error: t covers the truth, the stratified bootstrap does not."""
+    generator = np.random.Generator(np.random.PCG64(1))
+    hits = {seed_interval: 0, stratified_interval: 0}
+    for _ in range(200):
+        scores = np.repeat(generator.normal(size=(3, 1)), 5, axis=1)
+        for interval in hits:
+            low, high = interval(scores)
+            hits[interval] += low <= 0 <= high
+    assert hits[seed_interval] >= 180 and hits[stratified_interval] <= 120

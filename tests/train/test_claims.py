@@ -1,5 +1,7 @@
 """Verdicts and goals from rows made by hand."""
 
+from dataclasses import replace
+
 import pytest
 
 from mpdt.train import claims
@@ -12,6 +14,7 @@ from mpdt.train.claims import (
     claims_table,
     goals_table,
     judge_claim,
+    qualified_verdict,
 )
 from mpdt.train.methods import METHODS
 from mpdt.train.results import MEAN, Score
@@ -34,6 +37,19 @@ def test_a_verdict_is_two_intervals(behind, verdict):
     rows = {"a": row(3, 5), "b": row(*behind)}
     assert judge_claim(rows, Claim("", "d", "a", "b")) == verdict
     assert judge_claim({"a": row(3, 5)}, Claim("", "d", "a", "b")) == "not run"
+
+
+def test_a_verdict_says_how_few_seeds_it_has_and_whether_anything_was_learnt():
+    """Zero action earns [0, 1]."""
+    three = replace(row(3, 5), num_seeds=3)
+    rows = {"zero action": row(0, 1), "a": three, "b": three, "c": row(1, 2), "d": row(-2, -1)}
+    assert qualified_verdict(rows, Claim("", "d", "a", "b")) == "not confirmed"
+    assert qualified_verdict(rows, Claim("", "d", "a", "c")) == "confirmed, 1 seed of one side"
+    assert qualified_verdict(rows, Claim("", "d", "c", "d")) == "confirmed, 1 seed"
+    below = {**rows, "c": row(-0.5, 0.5)}
+    said = "confirmed, 1 seed, no better than zero action"
+    assert qualified_verdict(below, Claim("", "d", "c", "d")) == said
+    assert qualified_verdict(rows, Claim("", "d", "a", "e")) == "not run"
 
 
 def test_claims_name_cells_that_a_study_has():
@@ -70,7 +86,8 @@ def test_goals_count_only_what_reads_at_most_x_and_rewards(cells):
     assert list(by_name) == [goal.name for goal in GOALS] and by_name["ml10"][1] == "not run"
     assert by_name["mt10"] == (
         "mt10", "met", "3600, 90%", "3700.0 [3699.0, 3701.0], 95%",
-        "A infer (X+rewards; best of 1)", "0.92 of 0.9", "1317.52", "200.0", "-", "-", "4000.0",
+        "A infer (X+rewards; seeds: 1; best of 1)", "0.92 of 0.9", "1317.52",
+        "200.0", "-", "-", "4000.0",
     )  # fmt: skip
 
 
@@ -84,7 +101,10 @@ def test_a_goal_is_missed_by_any_of_its_parts(cells, monkeypatch):
 def test_few_shot_goals_look_at_other_rows(cells, monkeypatch):
     monkeypatch.setattr(claims, "GOALS", (Goal("mt10", 3900, None, None, reads=FEW_SHOT),))
     (line,) = goals_table(cells).rows
-    assert line[0] == "mt10, few-shot" and line[4] == "A few-shot (labelled steps; best of 1)"
+    assert (
+        line[0] == "mt10, few-shot"
+        and line[4] == "A few-shot (labelled steps; seeds: 1; best of 1)"
+    )
     assert line[5:7] == ("0.92", "not public") and line[1] == "met"
 
 

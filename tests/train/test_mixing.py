@@ -9,7 +9,9 @@ from mpdt.train.infer import InferSettings, Transitions
 from mpdt.train.mixing import MixingSettings, held_out_mixtures
 
 SETTINGS = MixingSettings(
-    share=0.5, model=InferSettings(hidden=32, steps=600, batch=128, lr=1e-2), unexplained=0.05
+    share=0.5,
+    model=InferSettings(tasks=2, hidden=32, steps=600, batch=128, lr=1e-2),
+    unexplained=0.05,
 )
 
 
