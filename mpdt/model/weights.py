@@ -70,7 +70,7 @@ def load_weights(
     """
     if not path.is_file():
         raise MissingFileError(
-            "no such file of weights", where=str(path), hint="`mpdt-train run` writes one"
+            "no such file of weights", where=str(path), hint="`mpdt-train --data FILE` writes one"
         )
     try:
         with safe_open(path, framework="pt") as stored:

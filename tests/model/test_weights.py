@@ -55,8 +55,9 @@ def test_other_hash_kind_and_shape_are_refused(path: Path) -> None:
 
 
 def test_files_that_are_not_ours(path: Path, tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match="no such file of weights"):
+    with pytest.raises(MissingFileError, match="no such file of weights") as caught:
         load_weights(tmp_path / "nothing")
+    assert "`mpdt-train --data FILE`" in caught.value.hint
     cut = tmp_path / "cut"
     cut.write_bytes(path.read_bytes()[:-5])
     with pytest.raises(FormatError, match="not a whole safetensors file"):
