@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
+import msgspec
 import pytest
 
 from mpdt.data.slices.sampler import SamplerSettings
@@ -14,6 +16,10 @@ from mpdt.train.adapt import AdaptSettings
 from mpdt.train.config import TrainConfig
 from mpdt.train.evaluate import EvaluationSettings
 from mpdt.train.fit_check import check_fits
+from mpdt.train.teacher import TeacherSettings
+
+PromptKind = Literal["shared", "none", "demonstration", "hyper"]
+NO_TEACHER = TeacherSettings(distillation="none")
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,40 @@ def test_without_a_time_table_any_horizon_fits() -> None:
 def test_prompt_and_window_must_fit_the_language_model() -> None:
     error = refused(Shape(max_positions=31), 10)
     assert "prompts.length" in error.where and error.found == "2 + 30"
+
+
+@pytest.mark.parametrize(
+    ("kind", "positions"),
+    [("shared", 2), ("none", 0), ("demonstration", 3 * 2), ("hyper", 0)],
+)
+def test_prompts_of_other_kinds_take_other_room(kind: PromptKind, positions: int) -> None:
+    """Two steps of three tokens each; adapters and nothing take no room."""
+    config = msgspec.structs.replace(
+        FITS, prompts=PromptSettings(kind=kind, length=2), teacher=NO_TEACHER
+    )
+    check_fits(Shape(max_positions=positions + 30), config, 10)
+    with pytest.raises(UsageError) as caught:
+        check_fits(Shape(max_positions=positions + 29), config, 10)
+    assert caught.value.found == f"{positions} + 30"
+
+
+def test_a_teacher_has_a_soft_prompt_whatever_its_student_has() -> None:
+    config = msgspec.structs.replace(FITS, prompts=PromptSettings(kind="none", length=2))
+    with pytest.raises(UsageError, match=r"found 2 \+ 30"):
+        check_fits(Shape(max_positions=31), config, 10)
+
+
+@pytest.mark.parametrize(
+    ("kind", "distillation"), [("hyper", "mpt"), ("demonstration", "prompt"), ("none", "prompt")]
+)
+def test_a_teacher_must_be_able_to_teach(
+    kind: PromptKind, distillation: Literal["mpt", "prompt"]
+) -> None:
+    config = msgspec.structs.replace(
+        FITS, prompts=PromptSettings(kind=kind), teacher=TeacherSettings(distillation=distillation)
+    )
+    with pytest.raises(UsageError, match=rf"teacher\.distillation: .* found {kind}"):
+        check_fits(Shape(max_positions=1000), config, 10)
 
 
 def test_adapted_layers_must_exist() -> None:
