@@ -36,7 +36,8 @@ from mpdt.data.slices.windows import (
 )
 from mpdt.data.store.reader import Dataset, open_tta_rewards
 from mpdt.data.store.tables import TtaSet
-from mpdt.errors import DataError, UsageError, unknown_name
+from mpdt.errors import DataError, TrainingError, UsageError, unknown_name
+from mpdt.model.limits import check_at_least
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start, TrainedPrompts
 from mpdt.model.returns import ReturnTable
@@ -76,10 +77,7 @@ class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     def __post_init__(self) -> None:
         for name, least in (("episodes", 0), ("windows", 1), ("steps", 0), ("lr", 0)):
-            if getattr(self, name) < least:
-                raise UsageError("setting out of range", where=f"adapt.{name}",
-                                 expected=f"at least {least}",
-                                 found=str(getattr(self, name)))  # fmt: skip
+            check_at_least(f"adapt.{name}", getattr(self, name), least)
 
     @property
     def needs_set(self) -> bool:
@@ -223,6 +221,7 @@ def adapt(
         on_step: called with (step, loss of each task) before each step's update.
         weights: (n, N) of the training tasks, for `infer` and `infer_aligned`; `cross_one`
             draws a donor by seed unless it is given one.
+    Raises: UsageError for a layer that is not there; TrainingError if a loss is not finite.
     """
     num_layers = policy.backbone.num_layers
     if any(not 0 <= layer < num_layers for layer in settings.layers):
@@ -241,9 +240,18 @@ def adapt(
     assert source is not None
     optimizer = torch.optim.AdamW(tuned, lr=settings.lr, weight_decay=0.0)
     for step in range(settings.steps):
-        batch = as_batch(unseen.batch(step))
+        windows = unseen.batch(step)
+        batch = as_batch(windows)
         output = policy(batch, prompts.task_prompts(), returns, layer_features=True)
         losses = alignment_loss(output.features, batch.mask, source, axes, settings.layers)
+        broken = ~losses.detach().isfinite()
+        if broken.any():
+            raise TrainingError(
+                f"the alignment loss is {losses[broken][0].item()} at step {step}",
+                where=f"adaptation from {start}",
+                found=f"tasks {windows.tasks[broken.numpy()].tolist()}",
+                hint="lower --adapt.lr, or look for broken rows with mpdt-data verify",
+            )
         if on_step:
             on_step(step, losses.tolist())
         for parameter, gradient in zip(

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from mpdt.data.sim.batch import BatchEnv
 from mpdt.data.sim.simulators import make_batch
-from mpdt.errors import TrainingError, UsageError
+from mpdt.errors import TrainingError
+from mpdt.model.limits import check_at_least
 from mpdt.seeding import Quality, SeedKey, Stream
 
 if TYPE_CHECKING:
@@ -53,13 +54,7 @@ class EvaluationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
             ("max_rows", 1),
             ("seed", 0),
         ):
-            if getattr(self, name) < least:
-                raise UsageError(
-                    "setting out of range",
-                    where=f"evaluation.{name}",
-                    expected=f"at least {least}",
-                    found=str(getattr(self, name)),
-                )
+            check_at_least(f"evaluation.{name}", getattr(self, name), least)
 
 
 Make = Callable[["Family", Sequence["Task"], Mapping[str, float | bool]], BatchEnv]
@@ -200,7 +195,8 @@ def evaluate(
             if not np.isfinite(actions).all():
                 raise TrainingError("the policy's action is not a number", where=family.name,
                                     found=f"step {step}, row {chunk[_first_bad(actions)]}",
-                                    hint="the run diverged: lower --optimiser.lr")  # fmt: skip
+                                    hint="training or adaptation diverged: lower --optimiser.lr"
+                                    ", --adapt.lr or --few-shot.lr")  # fmt: skip
             result = env.step(actions)
             # As the data counts it: float32 rewards, summed in float64.
             rewards = result.rewards.astype(np.float32)

@@ -137,6 +137,7 @@ def tune(
 
     With `prompt` the tasks are tuned side by side: they share nothing, and nothing is clipped.
     With `all` one after the other, each from the trained weights with an optimiser of its own.
+    Raises: TrainingError if a loss is not a finite number.
     """
     rates = OptimiserSettings(
         lr=settings.lr, lr_cross=settings.lr, lr_task=settings.lr, lr_teacher=settings.lr,
@@ -153,7 +154,8 @@ def tune(
             return False
 
         fit(policy, prompts, make_optimizer(policy, prompts, rates), sampler, returns, rates,
-            first_step=0, num_steps=settings.updates, on_step=report)  # fmt: skip
+            first_step=0, num_steps=settings.updates, on_step=report,
+            phase="few-shot", rate="--few-shot.lr")  # fmt: skip
 
     if settings.tuned == "prompt":
         # A frozen twin that shares every number: only gradients to the prompt are wanted.

@@ -23,8 +23,9 @@ from torch import nn
 
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.data.slices.windows import WindowBatch
-from mpdt.errors import TrainingError, UsageError
+from mpdt.errors import TrainingError
 from mpdt.model.demonstrations import DemonstrationPrompts
+from mpdt.model.limits import check_at_least
 from mpdt.model.policy import PolicyBatch, PromptPolicy, Windows, action_loss
 from mpdt.model.prompts import AdaptedPrompts, DecomposedPrompts, SharedPrompt, TeacherPrompts
 from mpdt.model.returns import ReturnTable
@@ -58,10 +59,8 @@ class OptimiserSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
-            value = getattr(self, name)
-            if not isinstance(value, str) and not (math.isfinite(value) and value >= 0):
-                raise UsageError("setting out of range", where=f"optimiser.{name}",
-                                 expected="a number of at least 0", found=str(value))  # fmt: skip
+            if name != "schedule":
+                check_at_least(f"optimiser.{name}", getattr(self, name), 0)
 
 
 class MultitaskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -78,10 +77,7 @@ class MultitaskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
 
     def __post_init__(self) -> None:
         for name, least in (("steps", 0), ("log_every", 1), ("checkpoint_every", 1), ("sparse", 0)):
-            if getattr(self, name) < least:
-                raise UsageError("setting out of range", where=f"multitask.{name}",
-                                 expected=f"at least {least}",
-                                 found=str(getattr(self, name)))  # fmt: skip
+            check_at_least(f"multitask.{name}", getattr(self, name), least)
 
 
 def fit(
@@ -99,10 +95,13 @@ def fit(
     distillation_weight: float = 0.0,
     sparse: float = 0.0,
     hardware: Hardware = PROCESSOR,
+    phase: str = "training",
+    rate: str = "--optimiser.lr",
 ) -> int:
     """Train from update `first_step` up to `num_steps`; returns the updates done.
 
     Args:
+        phase, rate: what an error names, and the option that would help.
         hardware: where the modules are, and who else trains them; losses are those of all.
     Raises: TrainingError with step and windows if the loss is not a finite number.
     """
@@ -139,7 +138,7 @@ def fit(
                  for name, value in (losses | {"loss": loss}).items()}  # fmt: skip
         if hardware.accepts(norm):
             parts["gradient_norm"] = norm.item()
-        _stop_on_nan(parts, step, windows)
+        _stop_on_nan(parts, step, windows, phase, rate)
         hardware.scaler.step(optimizer)
         hardware.scaler.update()
         if on_step(step + 1, parts):
@@ -185,13 +184,15 @@ def _dropout_generator(seed: int, step: int) -> torch.Generator:
     return torch.Generator().manual_seed(int(words[0] >> 1))
 
 
-def _stop_on_nan(parts: dict[str, float], step: int, windows: WindowBatch) -> None:
+def _stop_on_nan(
+    parts: dict[str, float], step: int, windows: WindowBatch, phase: str, rate: str
+) -> None:
     broken = [name for name, value in parts.items() if not math.isfinite(value)]
     if broken:
         raise TrainingError(
             f"{broken[0]} is {parts[broken[0]]} at step {step}",
-            where="training",
+            where=phase,
             found=f"tasks {windows.tasks.tolist()}, episodes {windows.episodes.tolist()}, "
             f"starts {windows.starts.tolist()}",
-            hint="lower --optimiser.lr, or look for broken rows with mpdt-data verify",
+            hint=f"lower {rate}, or look for broken rows with mpdt-data verify",
         )

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from mpdt.data.slices.sampler import WindowSampler
-from mpdt.errors import UsageError
+from mpdt.model.limits import check_at_least
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import TrainedPrompts
 from mpdt.model.returns import ReturnTable
@@ -36,9 +36,7 @@ class StatisticsSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     """Batches of windows they are computed from."""
 
     def __post_init__(self) -> None:
-        if self.batches < 1:
-            raise UsageError("setting out of range", where="statistics.batches",
-                             expected="at least 1", found=str(self.batches))  # fmt: skip
+        check_at_least("statistics.batches", self.batches, 1)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ import msgspec
 import torch
 from torch import Tensor, nn
 
-from mpdt.errors import UsageError
+from mpdt.model.limits import check_at_least
 from mpdt.model.policy import PolicyBatch, PolicyOutput, PromptPolicy
 from mpdt.model.prompts import TeacherPrompts
 from mpdt.model.returns import ReturnTable
@@ -51,13 +51,7 @@ class TeacherSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     def __post_init__(self) -> None:
         for name in ("weight", "hidden_weight", "steps"):
-            if getattr(self, name) < 0:
-                raise UsageError(
-                    "setting out of range",
-                    where=f"teacher.{name}",
-                    expected="at least 0",
-                    found=str(getattr(self, name)),
-                )
+            check_at_least(f"teacher.{name}", getattr(self, name), 0)
 
 
 class Teacher(nn.Module):

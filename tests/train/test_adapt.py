@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from mpdt.data.store.reader import open_tta_rewards
-from mpdt.errors import DataError, UsageError
+from mpdt.errors import DataError, TrainingError, UsageError
 from mpdt.model.backbone import load_backbone
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import DecomposedPrompts, PromptSettings
@@ -189,5 +189,20 @@ def test_refusals(dataset, medium_file, policy, trained):
     with pytest.raises(UsageError, match=r"adapt.layers: no such layer; expected 0 to 1"):
         adapt(policy, trained, "cross", unseen(dataset), RETURNS, source(policy), settings,
               "channel", 0)  # fmt: skip
-    with pytest.raises(UsageError, match=r"adapt\.windows"):
-        AdaptSettings(windows=0)
+
+
+@pytest.mark.parametrize("wrong", [{"windows": 0}, {"lr": -1.0}, {"lr": np.nan}, {"lr": np.inf}])
+def test_settings_out_of_range(wrong):
+    with pytest.raises(UsageError, match=f"adapt.{next(iter(wrong))}: setting out of range"):
+        AdaptSettings(**wrong)
+
+
+def test_what_diverges_names_adaptation_and_its_rate(dataset, policy, trained):
+    """A step of 1e30 in the first update; the second one cannot be computed."""
+    settings = AdaptSettings(windows=3, steps=9, lr=1e30)
+    with pytest.raises(
+        TrainingError, match=r"cross: .* nan at step 1; found tasks \[0, 1\]"
+    ) as caught:
+        adapt(policy, trained, "cross", unseen(dataset), RETURNS, source(policy), settings,
+              "channel", 0)  # fmt: skip
+    assert "--adapt.lr" in caught.value.hint

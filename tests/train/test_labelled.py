@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from mpdt.data.slices.sampler import WindowSampler
-from mpdt.errors import DataError, UsageError
+from mpdt.errors import DataError, TrainingError, UsageError
 from mpdt.model.backbone import load_backbone
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import AdaptedPrompts, DecomposedPrompts, PromptSettings
@@ -96,6 +96,14 @@ def test_tuning_lowers_the_loss(dataset, policy):
     tune(policy, prompts(policy), labelled, (0, 1), 4, RETURNS, settings, 0,
          lambda _, parts: losses.append(parts["action_loss"]))  # fmt: skip
     assert losses[-1] < losses[0]
+
+
+def test_what_diverges_names_few_shot_and_its_rate(dataset, policy):
+    settings = FewShotSettings(steps=12, updates=9, per_task=4, lr=1e30)
+    labelled = choose_labelled(dataset, (0, 1), "expert", 12, 0)
+    with pytest.raises(TrainingError, match=r"few-shot: .* nan at step") as caught:
+        tune(policy, prompts(policy), labelled, (0, 1), 4, RETURNS, settings, 0)
+    assert "--few-shot.lr" in caught.value.hint and "--optimiser" not in caught.value.hint
 
 
 def test_refusals(dataset):

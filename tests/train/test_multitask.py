@@ -10,7 +10,13 @@ from mpdt.model.backbone import load_backbone
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import DecomposedPrompts, TeacherPrompts
 from mpdt.train.material import load_material, return_table
-from mpdt.train.multitask import OptimiserSettings, fit, make_optimizer, rate_factor
+from mpdt.train.multitask import (
+    MultitaskSettings,
+    OptimiserSettings,
+    fit,
+    make_optimizer,
+    rate_factor,
+)
 from mpdt.train.presets import smoke
 from mpdt.train.progress import Progress
 from mpdt.train.results import MetricsLog
@@ -164,6 +170,12 @@ def test_resuming_cuts_the_log_and_another_phase_starts_at_zero(material, backbo
 def test_settings_out_of_range(wrong):
     with pytest.raises(UsageError, match=f"optimiser.{next(iter(wrong))}: setting out of range"):
         OptimiserSettings(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"sparse": math.nan}, {"sparse": math.inf}, {"log_every": 0}])
+def test_settings_of_the_second_phase_out_of_range(wrong):
+    with pytest.raises(UsageError, match=f"multitask.{next(iter(wrong))}: setting out of range"):
+        MultitaskSettings(**wrong)
 
 
 def test_the_loss_is_action_plus_weighted_distillation(material, backbone):

@@ -1,5 +1,7 @@
 """Distillation losses by hand, and a teacher that does not move."""
 
+import math
+
 import pytest
 import torch
 
@@ -74,7 +76,8 @@ def test_equal_policies_have_no_mpt_loss_and_the_teacher_stays_as_it_was(tiny_fi
     assert loss().item() > 0.0, "the teacher moved along with the student's head"
 
 
+@pytest.mark.parametrize("wrong", [-1, math.nan, math.inf])
 @pytest.mark.parametrize("name", ["weight", "hidden_weight", "steps"])
-def test_settings_out_of_range(name):
+def test_settings_out_of_range(name, wrong):
     with pytest.raises(UsageError, match=f"teacher.{name}: setting out of range"):
-        TeacherSettings(**{name: -1})
+        TeacherSettings(**{name: wrong})
