@@ -25,7 +25,7 @@ from mpdt.errors import MpdtError
 from mpdt.train.aggregate import mean, stratified_interval
 from mpdt.train.evaluate import SimulatorCache, evaluate
 from mpdt.train.infer import explain, fit_reward_model, read_training_tasks
-from mpdt.train.run import phase_seed
+from mpdt.train.phases import phase_seed
 from mpdt.train.unseen import UnseenTasks
 
 

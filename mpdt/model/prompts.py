@@ -145,6 +145,36 @@ class MixedPrompts(DecomposedPrompts):
         return self.cross * torch.einsum("nk,kls->nls", weights, self.task_parts())
 
 
+class TaughtParts(nn.Module):
+    """P_c o P_k with P_k the teacher's prompt of the task, frozen (a variant of the rebuttal).
+
+    Trainables: `cross` (l, s), which starts as N(0, 1): the product spreads like the teacher's.
+    """
+
+    cross: nn.Parameter
+    parts: Tensor
+
+    def __init__(
+        self, settings: PromptSettings, num_tasks: int, width: int, spread: float, seed: int = 0
+    ) -> None:
+        super().__init__()
+        generator = torch.Generator().manual_seed(seed)
+        self.cross = nn.Parameter(torch.randn((settings.length, width), generator=generator))
+        self.register_buffer("parts", torch.zeros(num_tasks, settings.length, width))
+
+    def take(self, prompts: Tensor) -> None:
+        """From now on P_k = `prompts` (N, l, s), copied."""
+        self.parts.copy_(prompts.detach())
+
+    def task_parts(self, rows: Tensor | None = None) -> Tensor:
+        """P_k (n, l, s) of the tasks `rows` (n,), or of all."""
+        return self.parts if rows is None else self.parts[rows]
+
+    def task_prompts(self, rows: Tensor | None = None, step: int | None = None) -> Tensor:
+        """P_c o P_k (n, l, s) of the tasks `rows` (n,), or of all."""
+        return self.cross * self.task_parts(rows)
+
+
 class TeacherPrompts(nn.Module):
     """A full soft prompt per task: `prompts` (N, l, s), N(0, 1) times the chosen spread."""
 

@@ -36,8 +36,9 @@ from mpdt.train.folder import RunFolder, stored_settings
 from mpdt.train.identity import identify
 from mpdt.train.material import load_material
 from mpdt.train.multitask import make_optimizer
+from mpdt.train.phases import phase_seed
 from mpdt.train.progress import Progress
-from mpdt.train.run import Trained, Trainer, phase_seed
+from mpdt.train.run import Trained, Trainer
 from mpdt.train.show import read_results
 from mpdt.train.state import StopRequest, Subject
 from mpdt.train.unseen import UnseenTasks

@@ -43,6 +43,8 @@ CLAIMS = (
     Claim("decomposition helps", _VEL, f"MPDT-no-distillation {_CROSS}",
           f"Soft-Prompt-TTA {_CROSS}"),
     Claim("distillation helps", _VEL, f"MPDT-E {_CROSS}", f"MPDT-no-distillation {_CROSS}"),
+    Claim("distillation beats the teacher's prompts as task parts", _VEL, f"MPDT-E {_CROSS}",
+          f"MPDT-teacher-parts {_CROSS}", (-139.88, -169.50)),
     # As the paper compares them: another start, and no adaptation.
     Claim("P_c, adapted, beats P_c o mean P_k, not adapted", _VEL, f"MPDT-E {_CROSS}",
           f"MPDT-E {_MEAN_START}", (-139.88, -145.27)),

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 # `prompt` compares prompts, so they must have one shape; adapters leave no room for a teacher.
 _TAUGHT = {
     "prompt": ("decomposed", "shared"),
+    "parts": ("decomposed",),
     "mpt": ("decomposed", "shared", "demonstration", "none"),
 }
 

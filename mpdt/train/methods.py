@@ -48,6 +48,8 @@ METHODS: Mapping[str, tuple[Changes, ...]] = {
     "MPDT-WP-frozen": ({"backbone": {"name": "random:smollm2-135m"}},),
     "MPDT+sparse": ({"multitask": {"sparse": 0.2}},),
     "MPDT-no-distillation": (_NO_TEACHER,),
+    # P_c o P_k^teacher, the teacher frozen: the rebuttal's variant.
+    "MPDT-teacher-parts": ({"teacher": {"distillation": "parts"}},),
     # Ours: half of the time a training task acts with the mixture `infer` would find for it.
     "MPDT-mixed": (_NO_TEACHER, {"mixing": {"share": 0.5}}, _MIXTURE),
     # Ours: every P_k starts near one, so prompts stay near each other and can be averaged.

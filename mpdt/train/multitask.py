@@ -27,12 +27,18 @@ from mpdt.errors import TrainingError
 from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.limits import check_at_least
 from mpdt.model.policy import PolicyBatch, PromptPolicy, Windows, action_loss
-from mpdt.model.prompts import AdaptedPrompts, DecomposedPrompts, SharedPrompt, TeacherPrompts
+from mpdt.model.prompts import (
+    AdaptedPrompts,
+    DecomposedPrompts,
+    SharedPrompt,
+    TaughtParts,
+    TeacherPrompts,
+)
 from mpdt.model.returns import ReturnTable
 from mpdt.train.hardware import PROCESSOR, Hardware
 from mpdt.train.teacher import Teacher
 
-TaskPrompts = DecomposedPrompts | SharedPrompt | DemonstrationPrompts
+TaskPrompts = DecomposedPrompts | TaughtParts | SharedPrompt | DemonstrationPrompts
 Prompts = TaskPrompts | TeacherPrompts | AdaptedPrompts
 Step = Callable[[int, dict[str, float]], bool]
 """Called after every update with (updates done, losses); True ends the loop early."""

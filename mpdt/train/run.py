@@ -10,28 +10,19 @@ is simply done again, after a stop or with other settings of judging.
 
 from __future__ import annotations
 
-import copy
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.errors import DataError
 from mpdt.model.backbone import Backbone
-from mpdt.model.demonstrations import DemonstrationPrompts, HyperPrompts
 from mpdt.model.policy import PromptPolicy
-from mpdt.model.prompts import (
-    DecomposedPrompts,
-    MixedPrompts,
-    PromptSettings,
-    SharedPrompt,
-    TeacherPrompts,
-)
+from mpdt.model.prompts import MixedPrompts, TaughtParts, TeacherPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.model.weights import WeightsHeader, load_weights, save_weights
 from mpdt.train.config import TrainConfig, to_plain
@@ -41,20 +32,14 @@ from mpdt.train.group import ALONE, Group
 from mpdt.train.hardware import Hardware
 from mpdt.train.identity import JUDGING
 from mpdt.train.infer import read_training_tasks
-from mpdt.train.material import Ids, Material, return_table, sample_demonstrations
+from mpdt.train.material import Ids, Material, return_table
 from mpdt.train.mixing import held_out_mixtures
-from mpdt.train.multitask import Prompts, TaskPrompts, as_batch, fit, make_optimizer
+from mpdt.train.multitask import Prompts, TaskPrompts, fit, make_optimizer
+from mpdt.train.phases import phase_seed
 from mpdt.train.progress import Progress
 from mpdt.train.state import Checkpoint, Stopped, StopRequest, Subject
 from mpdt.train.teacher import Teacher
-
-PHASES = ("teacher", "student", "statistics", "adapt", "mixing")
-
-
-def phase_seed(seed: int, phase: str) -> int:
-    """Independent batches for each phase: SeedSequence(seed, spawn_key=(number of phase,))."""
-    words = np.random.SeedSequence(seed, spawn_key=(PHASES.index(phase),))
-    return int(words.generate_state(1, np.uint32)[0])
+from mpdt.train.untrained import untrained_prompts
 
 
 @dataclass(frozen=True)
@@ -127,29 +112,13 @@ class Trainer:
         self.returns = return_table(
             self.material, config.inputs.return_to_go, config.target_quantile
         )
-        self.prompts = self._task_prompts(shape)
+        self.prompts = untrained_prompts(self.material, config, self.policy, self.returns, spread)
         taught = config.teacher.distillation != "none"
         self.asked = {
             "teacher": config.teacher.steps if taught else 0,
             "student": config.multitask.steps,
         }
         self._hashes = {"run": self.run_hash, "backbone": self.backbone.fingerprint}
-
-    def _task_prompts(self, shape: tuple[PromptSettings, int, int, float]) -> TaskPrompts:
-        settings, seed = shape[0], phase_seed(self.config.seed, "student")
-        if settings.kind == "decomposed":
-            kind = MixedPrompts if self.config.mixing.share else DecomposedPrompts
-            return kind(*shape, seed)
-        if settings.kind in ("shared", "none"):
-            return SharedPrompt(*shape, seed)
-        inputs = copy.deepcopy(self.policy.inputs)
-        shown = sample_demonstrations(self.material, settings.length, seed)
-        arguments = (inputs, as_batch(shown), self.returns)
-        if settings.kind == "hyper":
-            return HyperPrompts(
-                *arguments, self.backbone.num_layers, settings.rank, self.backbone.width, seed
-            )
-        return DemonstrationPrompts(*arguments, seed)
 
     def train(self) -> Trained:
         """Phases A and B, from whole weights or from the checkpoints if there are any.
@@ -168,8 +137,11 @@ class Trainer:
             self.progress.say(f"trained already: {folder.weights}")
             return self._trained(self.asked)
         steps, teacher = {"teacher": 0, "student": 0}, None
-        if self.config.teacher.distillation != "none":
+        if self.asked["teacher"]:
             steps["teacher"] = self._train_teacher(began_s)
+        if isinstance(self.prompts, TaughtParts):
+            self.prompts.take(self.teacher_prompts.prompts)
+        elif self.asked["teacher"]:
             teacher = Teacher(self.policy, self.teacher_prompts, self.config.teacher)
         if isinstance(self.prompts, MixedPrompts):
             self._mix(self.prompts)

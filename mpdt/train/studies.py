@@ -108,6 +108,7 @@ _LONG: Mapping[str, Any] = {
 }
 
 _ABLATIONS: tuple[Cell, ...] = (
+        _cell(_VEL, "MPDT-teacher-parts", _STARTS),
         _cell(_VEL, "MPDT-E", {"adapt": {"starts": _ALL_STARTS}}, _LEVELS, label="starts"),
         _cell(_VEL, "MPDT-E", {"teacher": {"distillation": "prompt"}}, label="distil-prompt"),
         *(_cell(_VEL, "MPDT-no-distillation", {"prompts": {"rank": rank}}, _STARTS,

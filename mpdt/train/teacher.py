@@ -10,6 +10,7 @@ Targets of the distillation loss L_dis, each free of the scale of what it compar
     prompt   mean (P* - P^teacher)^2 / mean (P^teacher)^2
     mpt      mean (a - a^teacher)^2  +  hidden_weight * mean over layers of
              mean (H - H^teacher)^2 / mean (H^teacher - its channel mean)^2
+    parts    nothing: the teacher's prompts are the P_k, frozen, and P_c alone is learned
     none     nothing; phase A is skipped
 
 The hidden term is the share of the teacher's variance the student misses: 0 = the same
@@ -34,7 +35,7 @@ from mpdt.model.prompts import TeacherPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.train.group import ALONE, Group
 
-Distillation = Literal["mpt", "prompt", "none"]
+Distillation = Literal["mpt", "prompt", "parts", "none"]
 
 
 class TeacherSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -31,8 +31,9 @@ from mpdt.train.infer import (
 from mpdt.train.labelled import choose_labelled, tune
 from mpdt.train.material import sample_demonstrations
 from mpdt.train.multitask import as_batch
+from mpdt.train.phases import phase_seed
 from mpdt.train.results import Reads
-from mpdt.train.run import Trained, Trainer, phase_seed
+from mpdt.train.run import Trained, Trainer
 from mpdt.train.statistics import LayerStatistics, source_statistics
 
 DONOR_BATCHES = 4  # of all training tasks, to choose the one whose demonstration stands for all

@@ -10,6 +10,7 @@ from mpdt.model.prompts import (
     MixedPrompts,
     PromptSettings,
     SharedPrompt,
+    TaughtParts,
     TeacherPrompts,
 )
 
@@ -113,6 +114,19 @@ def test_teacher_has_a_full_prompt_per_task() -> None:
     teacher = TeacherPrompts(PromptSettings(), num_tasks=3, width=64, spread=0.2)
     assert teacher.task_prompts().shape == (3, 30, 64)
     assert float(teacher.prompts.detach().std()) == pytest.approx(0.2, rel=0.05)
+
+
+def test_parts_of_a_teacher_are_copied_and_only_the_cross_prompt_is_trained() -> None:
+    """P_c = (1 2) o (3 4) = (3 8); what becomes of the teacher's own tensor does not matter."""
+    prompts = TaughtParts(PromptSettings(length=1), 2, 2, spread=0.1)
+    teacher = torch.tensor([[[1.0, 2]], [[5, 6]]])
+    prompts.take(teacher)
+    teacher.zero_()
+    prompts.cross.data = torch.tensor([[3.0, 4]])
+    assert prompts.task_prompts(torch.tensor([0])).tolist() == [[[3, 8]]]
+    assert prompts.task_prompts().tolist() == [[[3, 8]], [[15, 24]]]
+    assert [name for name, _ in prompts.named_parameters()] == ["cross"]
+    assert set(prompts.state_dict()) == {"cross", "parts"}, "what is loaded again"
 
 
 def test_starts_of_adaptation_worked_by_hand(by_hand: DecomposedPrompts) -> None:

@@ -10,6 +10,7 @@ import torch
 
 from mpdt.errors import UsageError
 from mpdt.model.backbone import from_settings
+from mpdt.model.weights import load_weights
 from mpdt.train.config import TrainConfig, differences, to_plain
 from mpdt.train.folder import locate
 from mpdt.train.material import load_material, sample_demonstrations
@@ -118,3 +119,17 @@ def test_a_stored_configuration_of_a_method_is_json():
         plain = to_plain(apply_method(base(), method))
         assert json.loads(json.dumps(plain))["method"] == method
     assert torch.get_num_threads() == 1
+
+
+def test_parts_of_a_teacher_are_its_prompts_until_the_end(tiny_file, tmp_path):
+    run(tiny("MPDT-teacher-parts"), tiny_file, tmp_path)
+    folder = locate(tmp_path, "r")
+    _, teacher = load_weights(folder.teacher, kind="teacher")
+    _, student = load_weights(folder.weights, kind="mpdt")
+    torch.testing.assert_close(student["prompts.parts"], teacher["prompts.prompts"])
+    with pytest.raises(UsageError, match=r"mixing\.share: .*not trained"):
+        run(merged(tiny("MPDT-teacher-parts"), {"mixing": {"share": 0.5}}), tiny_file, tmp_path / "m")
+
+
+def merged(config: TrainConfig, changes: dict) -> TrainConfig:
+    return msgspec.convert(merge(to_plain(config), changes), TrainConfig)
