@@ -24,7 +24,14 @@ from typing import Any
 
 from mpdt.data.replacement import disk
 from mpdt.data.store.lock import take_lock
-from mpdt.errors import MissingFileError, StorageError, TrainingError, UsageError
+from mpdt.errors import (
+    FormatError,
+    MissingFileError,
+    SpecError,
+    StorageError,
+    TrainingError,
+    UsageError,
+)
 from mpdt.train.config import TrainConfig, differences, from_plain
 from mpdt.train.identity import Identity
 from mpdt.train.results import MetricsLog, write_atomic
@@ -83,8 +90,8 @@ def inspect(folder: RunFolder, identity: Identity, restart: bool) -> None:
 
     Args:
         restart: what an earlier run left may be another's, for it will go.
-    Raises: TrainingError for a folder of another run or of no run at all, StorageError
-        where the disk would refuse.
+    Raises: TrainingError for a folder of another run or of no run at all, FormatError for one
+        whose config.json is damaged, StorageError where the disk would refuse.
     """
     path = folder.path
     with disk(path):
@@ -137,7 +144,7 @@ def claimed(folder: RunFolder, identity: Identity, restart: bool) -> Iterator[No
 def _compare(folder: RunFolder, identity: Identity) -> None:
     """Raises: TrainingError naming what differs from the training of the run that is there."""
     stored = _read_config(folder)
-    old, new = stored.get("training", {}).get("data", {}), identity.training["data"]
+    old, new = stored["training"]["data"], identity.training["data"]
     for key, what in (("family", "another family"), ("content_hash", "other episodes")):
         if old.get(key) != new[key]:
             raise TrainingError(
@@ -146,7 +153,7 @@ def _compare(folder: RunFolder, identity: Identity) -> None:
                 hint="take the file it was trained on, or keep both with "
                 f"--name {folder.path.name}-2",
             )  # fmt: skip
-    changed = differences(stored.get("training", {}), identity.training)
+    changed = differences(stored["training"], identity.training)
     if changed:
         text = "; ".join(changed[:4]) + (f" and {len(changed) - 4} more" if changed[4:] else "")
         raise TrainingError(
@@ -158,7 +165,11 @@ def _compare(folder: RunFolder, identity: Identity) -> None:
 
 
 def _read_config(folder: RunFolder) -> dict[str, Any]:
-    """Raises: TrainingError if config.json is not what a run writes."""
+    """config.json: `training` and `judging`, each with its `data`.
+
+    Raises: TrainingError for what cannot be read or is of another version, FormatError for
+        what is damaged.
+    """
     try:
         stored: dict[str, Any] = json.loads(folder.config.read_text(encoding="utf-8"))
         found = str(stored.get("format"))
@@ -173,13 +184,20 @@ def _read_config(folder: RunFolder) -> dict[str, Any]:
             found=found,
             hint="choose another --name, or begin anew with --restart",
         )
+    for part in ("training", "judging"):
+        facts = stored.get(part)
+        if not (isinstance(facts, dict) and isinstance(facts.get("data"), dict)):
+            raise FormatError(f"no object '{part}' with its 'data'", where=str(folder.config),
+                              found=json.dumps(facts)[:40],
+                              hint="begin anew with --restart")  # fmt: skip
     return stored
 
 
 def stored_settings(path: Path) -> TrainConfig:
     """The settings of the run in that folder.
 
-    Raises: MissingFileError, TrainingError for what is no run or one of another version.
+    Raises: MissingFileError, TrainingError for what is no run or one of another version,
+        FormatError for one whose config.json is damaged.
     """
     folder = RunFolder(path)
     if not folder.config.exists():
@@ -188,7 +206,13 @@ def stored_settings(path: Path) -> TrainConfig:
     stored = _read_config(folder)
     plain = {**stored["training"], **stored["judging"]}
     plain.pop("data")
-    return from_plain(plain)
+    try:
+        return from_plain(plain)
+    except SpecError as error:
+        raise FormatError(
+            "the settings of this run are damaged", where=str(folder.config), found=error.found,
+            hint="begin anew with --restart",
+        ) from error  # fmt: skip
 
 
 def _clear(folder: RunFolder) -> None:

@@ -1,5 +1,6 @@
 """Before the first update: no such folder, a full disk, a kill, Ctrl-C: clear, and nothing left."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -8,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from mpdt.errors import StorageError
+from mpdt.errors import FormatError, StorageError, TrainingError
 from mpdt.train.config import TrainConfig
-from mpdt.train.folder import claimed, inspect, locate
+from mpdt.train.folder import FORMAT, claimed, inspect, locate, stored_settings
 from mpdt.train.identity import Identity, identify
 from mpdt.train.material import load_material
 
@@ -75,6 +76,28 @@ def test_a_kill_in_the_first_moment_does_not_block_the_name(
     (own.path / leftover).write_text("1")
     with claimed(own, identity, restart=False):
         assert own.config.exists()
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [({"training": None}, "no object 'training' with its 'data'; found null"),
+     ({"training": []}, "no object 'training' with its 'data'; found []"),
+     ({"training": {"data": [1]}}, "no object 'training' with its 'data'"),
+     ({"judging": {}}, "no object 'judging' with its 'data'; found {}"),
+     ({"training": {"data": {}, "seed": "one"}}, "Expected `int`, got `str` - at `$.seed`")],
+)  # fmt: skip
+def test_a_damaged_configuration_is_one_error(tiny_file, tmp_path, damage, told):
+    """Of a run that goes on, and of one that is adapted."""
+    identity = identify(TrainConfig(), load_material(str(tiny_file), "auto"))
+    own = locate(tmp_path, "r")
+    own.path.mkdir()
+    whole = {"format": FORMAT, "training": {"data": {}}, "judging": {"data": {}}}
+    own.config.write_text(json.dumps(whole | damage))
+    with pytest.raises(FormatError) as caught:
+        stored_settings(own.path)
+    assert told in str(caught.value) and caught.value.where == str(own.config)
+    with pytest.raises((FormatError, TrainingError)):
+        inspect(own, identity, restart=False)
 
 
 WAIT = """
