@@ -70,7 +70,17 @@ def configure(cell: Cell) -> TrainConfig:
 
 
 def inspect_cell(cell: Cell, places: Places) -> Outcome:
-    """Whether the cell is done; reads the file's header, trains nothing."""
+    """Whether the cell is done; reads the file's header, trains nothing.
+
+    A file or setting that is refused makes it `failed`.
+    """
+    try:
+        return _look_at(cell, places)
+    except MpdtError as error:
+        return Outcome(cell, "failed", error.message())
+
+
+def _look_at(cell: Cell, places: Places) -> Outcome:
     config = configure(cell)
     stored = _read(places.result(cell))
     try:

@@ -58,6 +58,21 @@ def test_cells_are_run_skipped_failed_and_left_out(places):
     assert (places.runs / "tiny.short.s1/weights.safetensors").stat().st_mtime_ns == before
 
 
+def test_a_damaged_data_file_fails_its_own_cell(tiny_file, places, tmp_path, monkeypatch, capsys):
+    """In a run and in a dry one, where the next cell is looked at as well."""
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/tiny.h5").symlink_to(tiny_file)
+    (tmp_path / "data/bad.h5").write_bytes(b"garbage" * 99)
+    bad = Cell("bad", "Soft-Prompt-TTA", preset="smoke", changes=TINY)
+    placed = Places(tmp_path / "data", places.runs, places.results)
+    assert states([bad, ABSENT], placed) == [(bad.name, "failed"), (ABSENT.name, "no data")]
+    monkeypatch.setattr(studies, "STUDIES", {"try": (bad, ONE)})
+    assert call("study", "try", "--data-dir", tmp_path / "data", "--dry-run") == 1
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("failed   bad.Soft-Prompt-TTA.s0") and "bad.h5" in first
+    assert second == "to do    tiny.Soft-Prompt-TTA.s0"
+
+
 def test_a_result_says_what_made_it(places):
     states([TWO], places)
     content = json.loads(places.result(TWO).read_text())
