@@ -33,7 +33,7 @@ from mpdt.train.report import BLOCKS, Table, build_tables
 from mpdt.train.results import MEAN, Block, Score
 from mpdt.train.show import scores_in
 from mpdt.train.study_report import report_tables
-from mpdt.train.summary import CellResult, summarise
+from mpdt.train.summary import CellResult, summarise, task_intervals
 
 
 @dataclass(frozen=True)
@@ -225,16 +225,14 @@ def _study_part(cells: Sequence[CellResult], block: Block, tables: Sequence[Tabl
         for row in rows if math.isfinite(row.mean)
     ]  # fmt: skip
     ends = [end for _, (dot,) in means for end in (dot.value, dot.low, dot.high)]
-    axis = axis_over([0.0, *ends], "mean return")
+    axis = axis_over([0.0, *filter(math.isfinite, ends)], "mean return")
     drawn = [row_chart("mean return", means, axis, bars=True)] if means else []
-    first: dict[tuple[str, str], Score] = {}
-    for cell in sorted(cells, key=lambda cell: cell.seed):
-        for score in cell.scores:
-            if score.block == block:
-                first.setdefault((score.task, score.method), score)
-    tasks = dict.fromkeys(task for task, _ in first if task != MEAN)
-    charts = [
-        chart for task in tasks
-        for chart in bars(task, [s for (of, _), s in first.items() if of == task], keys)
-    ]  # fmt: skip
+    charts = []
+    for task, methods in task_intervals(cells, block).items():
+        scores = [
+            Score(block=block, task=task, method=method, mean=middle, low=low, high=high,
+                  normalised=math.nan)
+            for method, (middle, low, high) in methods.items()
+        ]  # fmt: skip
+        charts += bars(task, scores, keys)
     return Part(tables[0].title, tables, legend(keys), drawn, charts)
