@@ -55,7 +55,7 @@ def scores_in(results: Mapping[str, Any]) -> list[Score]:
             key: float("nan") if value is None and key != "success" else value
             for key, value in row.items()
         }
-        for row in results["scores"]
+        for row in msgspec.convert(results["scores"], list[dict[str, Any]])
     ]
     return msgspec.convert(rows, list[Score])
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,11 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mpdt.errors import FormatError
 from mpdt.train.aggregate import iqm, seed_interval, stratified_interval
+from mpdt.train.cell_file import read_cell_files
 from mpdt.train.report import Table
 from mpdt.train.results import MEAN, REFERENCES, Block, Score
-from mpdt.train.show import scores_in
 from mpdt.train.studies import STUDIES
 
 
@@ -62,18 +60,11 @@ def is_study(folder: Path) -> bool:
 
 
 def read_cells(folder: Path) -> list[CellResult]:
-    """All cells of a folder, by name. Raises: FormatError for a file that is no result."""
-    cells = []
-    for path in sorted(folder.glob("*.json")):
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            config = content["config"]
-            cells.append(CellResult(content["data"]["name"], config["method"], config["seed"],
-                                    tuple(scores_in(content)), content))  # fmt: skip
-        except (ValueError, KeyError, TypeError) as error:
-            raise FormatError("not the result of a cell", where=str(path), found=str(error),
-                              hint="delete it; its study makes it again") from error  # fmt: skip
-    return cells
+    """All cells of a folder, by name. Raises: FormatError, as `read_cell_files`."""
+    return [
+        CellResult(file.data.name, file.config.method, file.config.seed, file.scores, content)
+        for file, content in read_cell_files(sorted(folder.glob("*.json")))
+    ]
 
 
 def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:

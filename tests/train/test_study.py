@@ -1,5 +1,6 @@
 """Studies: cells run once, are found again, and fail one by one; their tables by hand."""
 
+import copy
 import json
 import math
 
@@ -9,10 +10,10 @@ from mpdt.errors import FormatError, UsageError
 from mpdt.train import studies
 from mpdt.train.cli import main
 from mpdt.train.progress import Progress
-from mpdt.train.results import MEAN, Score
+from mpdt.train.results import MEAN, Score, encode_results
 from mpdt.train.state import StopRequest
 from mpdt.train.studies import STUDIES, Cell, get_study
-from mpdt.train.study import Places, configure, inspect_cell, run_study
+from mpdt.train.study import Places, configure, encode_cell, inspect_cell, run_study
 from mpdt.train.summary import (
     CellResult,
     best_of_each,
@@ -189,3 +190,61 @@ def test_what_is_no_result_is_one_error(tmp_path):
         read_cells(tmp_path)
     (tmp_path / "results.json").write_text("{}")
     assert not is_study(tmp_path)
+
+
+@pytest.fixture
+def stored(tmp_path):
+    """Two seeds of a method on disk, and a way to spoil the first."""
+    whole = {
+        seed: {"cell": f"d.m.s{seed}", "data": {"name": "d", "content_hash": "1"},
+               "config": {"method": "m", "seed": seed}, "curve": {"student": [[1, 0.5]]},
+               "inferred": {}, "more": None,
+               "scores": json.loads(encode_results({}, cell(seed, 2.0, 4.0).scores))["scores"]}
+        for seed in (0, 1)
+    }  # fmt: skip
+
+    def write(spoil=lambda _: None):
+        content = copy.deepcopy(whole)
+        spoil(content[0])
+        for seed, one in content.items():
+            (tmp_path / f"d.m.s{seed}.json").write_bytes(encode_cell(one))
+        return tmp_path
+
+    return write
+
+
+def test_whole_cells_are_read(stored):
+    first, second = read_cells(stored())
+    assert (first.data, first.label, first.seed, second.seed) == ("d", "m", 0, 1)
+    assert first.scores == cell(0, 2.0, 4.0).scores and first.content["more"] is None
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [(lambda c: c["scores"].pop(), "m infer has no mean over its test tasks"),
+     (lambda c: c["scores"].__delitem__(slice(3, 5)), "m infer has no test task beside the mean"),
+     (lambda c: c["scores"].append(c["scores"][3]), "m infer has a test task twice; found a"),
+     (lambda c: c["scores"].__setitem__(0, 3), "Expected `object`, got `int` - at `$[0]`"),
+     (lambda c: c["scores"][0].update(mean="1"), "Expected `float`, got `str` - at `$[0].mean`"),
+     (lambda c: c["scores"].clear(), "length >= 1 - at `$.scores`"),
+     (lambda c: c.update(curve={"student": [3]}), "got `int` - at `$.curve[...][0]`"),
+     (lambda c: c.update(curve={"student": []}), "length >= 1 - at `$.curve[...]`"),
+     (lambda c: c.update(curve=[[1, 2]]), "Expected `object`, got `array` - at `$.curve`"),
+     (lambda c: c["config"].update(seed="0"), "Expected `int`, got `str` - at `$.config.seed`"),
+     (lambda c: c["config"].pop("method"), "required field `method` - at `$.config`"),
+     (lambda c: c["data"].pop("content_hash"), "required field `content_hash`"),
+     (lambda c: c["data"].update(name="../d"), "matching regex"),
+     (lambda c: c.pop("cell"), "required field `cell`"),
+     (lambda c: c.update(inferred=3), "Expected `object`, got `int` - at `$.inferred`"),
+     (lambda c: c["scores"].pop(3), "d.m.s1.json: other test tasks of "
+      "m infer than d.m.s0.json; found in one of them only: a"),
+     (lambda c: c["data"].update(content_hash="2"), "d.m.s1.json: other episodes of d than "
+      "d.m.s0.json; expected 2, found 1"),
+     (lambda c: c["config"].update(seed=1), "d.m.s1.json: a second file of d.m.s1; found also "
+      "d.m.s0.json")],
+)  # fmt: skip
+def test_damaged_cells_are_one_error(stored, spoil, told, tmp_path, capsys):
+    assert call("report", stored(spoil), "--html", tmp_path / "page.html") == 1
+    out, error = capsys.readouterr()
+    assert out == "" and error.startswith("error: ") and told in error
+    assert error.count("\n") == 2 and "hint:  " in error
