@@ -114,7 +114,7 @@ def _incomplete(results: Mapping[str, Any]) -> list[str]:
     if results.get("complete") is not False:
         return []
     asked = results.get("updates_asked", {})
-    done = [f"{phase} {n} of {asked.get(phase)}" for phase, n in results["updates"].items()]
+    done = [f"{phase} {n} of {asked.get(phase)}" for phase, n in results.get("updates", {}).items()]
     return [f"Incomplete, ended by a time limit after updates: {', '.join(done)}."]
 
 

@@ -18,6 +18,18 @@ from mpdt.train.results import Score
 WIDTH_WITHOUT_TERMINAL = 160  # columns; tables in a log file are not folded at 80
 
 
+class RunHeader(msgspec.Struct, frozen=True):
+    """What is looked at of results.json beside its scores; other keys may stand there too."""
+
+    data: dict[str, Any] = {}
+    config: dict[str, Any] = {}
+    backbone: dict[str, Any] = {}
+    num_trainables: int = 0
+    updates: dict[str, int] = {}
+    updates_asked: dict[str, int] = {}
+    complete: bool = True
+
+
 def read_results(folder: Path) -> dict[str, Any]:
     """results.json of a run's folder.
 
@@ -31,9 +43,10 @@ def read_results(folder: Path) -> dict[str, Any]:
             hint="a run writes them at its end; the same command continues it",
         )
     try:
-        results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        results = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+        msgspec.convert(results, RunHeader)
         scores_in(results)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError) as error:
         raise FormatError("not the results of a run", where=str(path), found=str(error)) from error
     return results
 
@@ -68,9 +81,9 @@ def print_results(results: Mapping[str, Any], as_json: bool) -> None:
     from rich.console import Console
 
     if results.get("complete") is False:
-        asked = results["updates_asked"]
+        asked = results.get("updates_asked", {})
         done = ", ".join(
-            f"{phase} {n} of {asked[phase]}" for phase, n in results["updates"].items()
+            f"{phase} {n} of {asked.get(phase)}" for phase, n in results.get("updates", {}).items()
         )
         sys.stdout.write(f"incomplete, ended by a time limit after updates: {done}\n")
     console = Console(

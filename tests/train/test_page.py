@@ -79,6 +79,22 @@ def test_from_the_command_line(folder, capsys):
     assert "M x" in capsys.readouterr().out and (folder / "p.html").stat().st_size > 9000
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [{"data": 3}, {"config": []}, {"backbone": "gpt2"}, {"updates": {"student": "9"}},
+     {"complete": False, "updates_asked": 1}, {"scores": [3]},
+     {"num_trainables": "many"}],
+)  # fmt: skip
+def test_damaged_results_of_a_run_are_one_error(folder, capsys, damage):
+    content = results(scores("M")) | damage
+    (folder / "results.json").write_text(json.dumps(content))
+    with pytest.raises(SystemExit) as stop:
+        main(["report", str(folder), "--html", str(folder / "p.html")])
+    out, error = capsys.readouterr()
+    assert stop.value.code == 1 and out == ""
+    assert error.startswith(f"error: {folder / 'results.json'}: not the results of a run")
+
+
 def test_a_run_of_results_alone_has_a_page_too(tmp_path):
     content = run_content(results(scores("M")), tmp_path)
     assert not content.curves and not content.maps and not content.warnings
