@@ -173,11 +173,14 @@ def goals_table(cells: Sequence[CellResult]) -> Table:
 def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
     wanted = f"{goal.mean:g}" + (f", {goal.success:.0%}" if goal.success else "")
     rows = _test_rows(cells, goal.data)
-    tried = [row for row in rows.values() if row.reads in goal.reads]
+    # A cell that judges the weights of another one again says nothing of its training tasks.
+    shares = {name: _training_share(cells, goal.data, name) for name in rows}
+    tried = [row for row in rows.values() if row.reads in goal.reads
+             and (goal.share is None or math.isfinite(shares[row.method]))]  # fmt: skip
     if not tried:
         return (goal.name, "not run", wanted, *["-"] * 8)
     best = max(tried, key=lambda row: row.mean)
-    share = _training_share(cells, goal.data, best.method)
+    share = shares[best.method]
     met = (
         best.mean >= goal.mean
         and (goal.share is None or share >= goal.share)

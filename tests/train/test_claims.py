@@ -98,6 +98,20 @@ def test_a_goal_is_missed_by_any_of_its_parts(cells, monkeypatch):
         assert goals_table(cells).rows[0][1] == "missed"
 
 
+def test_a_cell_that_judges_again_does_not_reach_a_goal_of_training_tasks(cells, monkeypatch):
+    """B earns more, but what its training tasks earn stands nowhere."""
+    again = CellResult("mt10", "B", 0, tuple(score("B infer", 9000.0, reads="X+rewards")), {})
+    (line,) = goals_table_of(monkeypatch, [*cells, again], Goal("mt10", 3600, 0.9, None))
+    assert line[4].startswith("A infer")
+    (line,) = goals_table_of(monkeypatch, [*cells, again], Goal("mt10", 3600, None, None))
+    assert line[4].startswith("B infer") and line[5] == "-"
+
+
+def goals_table_of(monkeypatch, cells, goal):
+    monkeypatch.setattr(claims, "GOALS", (goal,))
+    return goals_table(cells).rows
+
+
 def test_few_shot_goals_look_at_other_rows(cells, monkeypatch):
     monkeypatch.setattr(claims, "GOALS", (Goal("mt10", 3900, None, None, reads=FEW_SHOT),))
     (line,) = goals_table(cells).rows

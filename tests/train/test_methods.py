@@ -128,7 +128,11 @@ def test_parts_of_a_teacher_are_its_prompts_until_the_end(tiny_file, tmp_path):
     _, student = load_weights(folder.weights, kind="mpdt")
     torch.testing.assert_close(student["prompts.parts"], teacher["prompts.prompts"])
     with pytest.raises(UsageError, match=r"mixing\.share: .*not trained"):
-        run(merged(tiny("MPDT-teacher-parts"), {"mixing": {"share": 0.5}}), tiny_file, tmp_path / "m")
+        run(
+            merged(tiny("MPDT-teacher-parts"), {"mixing": {"share": 0.5}}),
+            tiny_file,
+            tmp_path / "m",
+        )
 
 
 def merged(config: TrainConfig, changes: dict) -> TrainConfig:
