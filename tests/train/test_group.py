@@ -77,8 +77,9 @@ def run_updates(path: Path, group: Group) -> dict[str, object]:
 
 
 def test_torchrun_gives_the_losses_of_one_process(tiny_file, tmp_path):
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--local-addr", "127.0.0.1",
-               "--nproc-per-node", "2", __file__, str(tiny_file), str(tmp_path)]  # fmt: skip
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone",
+               "--local-addr", "127.0.0.1", "--nproc-per-node", "2",
+               __file__, str(tiny_file), str(tmp_path)]  # fmt: skip
     # All on the loopback: a machine's own name need not resolve.
     environment = os.environ | {
         "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore", "GLOO_SOCKET_IFNAME": "lo",
