@@ -106,13 +106,14 @@ class Trainer:
             self.backbone, config.inputs, config.head, stats["mean"], stats["std"],
             dataset.action_size, config.seed,
         )  # fmt: skip
-        spread = float(self.backbone.word_embeddings.std())
-        shape = (config.prompts, len(self.material.train_rows), self.backbone.width, spread)
-        self.teacher_prompts = TeacherPrompts(*shape, phase_seed(config.seed, "teacher"))
+        self.teacher_prompts = TeacherPrompts(
+            config.prompts, len(self.material.train_rows), self.backbone.width,
+            self.backbone.spread, phase_seed(config.seed, "teacher"),
+        )  # fmt: skip
         self.returns = return_table(
             self.material, config.inputs.return_to_go, config.target_quantile
         )
-        self.prompts = untrained_prompts(self.material, config, self.policy, self.returns, spread)
+        self.prompts = untrained_prompts(self.material, config, self.policy, self.returns)
         taught = config.teacher.distillation != "none"
         self.asked = {
             "teacher": config.teacher.steps if taught else 0,
@@ -137,12 +138,12 @@ class Trainer:
             self.progress.say(f"trained already: {folder.weights}")
             return self._trained(self.asked)
         steps, teacher = {"teacher": 0, "student": 0}, None
-        if self.asked["teacher"]:
+        if self.config.teacher.distillation != "none":
             steps["teacher"] = self._train_teacher(began_s)
-        if isinstance(self.prompts, TaughtParts):
-            self.prompts.take(self.teacher_prompts.prompts)
-        elif self.asked["teacher"]:
-            teacher = Teacher(self.policy, self.teacher_prompts, self.config.teacher)
+            if isinstance(self.prompts, TaughtParts):
+                self.prompts.take(self.teacher_prompts.prompts)
+            else:
+                teacher = Teacher(self.policy, self.teacher_prompts, self.config.teacher)
         if isinstance(self.prompts, MixedPrompts):
             self._mix(self.prompts)
         steps["student"] = self._fit("student", subject, began_s, 1.0, teacher)

@@ -117,10 +117,9 @@ _ABLATIONS: tuple[Cell, ...] = (
                 label=f"length-{length}") for length in (3, 9, 60, 90)),
         *(_cell(_VEL, "MPDT-no-distillation", {"backbone": {"depth": depth}}, _STARTS,
                 label=f"depth-{depth}") for depth in (1, 2, 8)),
-        *(_cell(_VEL, "MPDT-no-distillation", {"prompts": {"task_init": "ones"}}, _STARTS,
-                _EXPERT, seed=seed, label="ones") for seed in (0, 1, 2)),
-        *(_cell(data, "MPDT-no-distillation", {"prompts": {"task_init": "ones"}}, _STARTS,
-                _EXPERT, label="ones") for data in ("ant_dir", "cheetah_dir", "ml10", "mt10")),
+        *(_cell(data, "MPDT-ones", _STARTS, _EXPERT, seed=seed, label="ones")
+          for data, seed in ((_VEL, 0), (_VEL, 1), (_VEL, 2), ("ant_dir", 0), ("cheetah_dir", 0),
+                             ("ml10", 0), ("mt10", 0))),
 )  # fmt: skip
 
 STUDIES: Mapping[str, tuple[Cell, ...]] = {

@@ -15,7 +15,7 @@ from torch import Tensor
 from mpdt.data.store.reader import open_tta_rewards
 from mpdt.errors import UsageError
 from mpdt.model.demonstrations import DemonstrationPrompts
-from mpdt.model.policy import action_loss
+from mpdt.model.policy import PromptPolicy, action_loss
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start
 from mpdt.model.returns import ReturnTable
 from mpdt.train.adapt import INFERRED, NOT_ADAPTED, AdaptationSet, adapt, unseen_returns
@@ -91,10 +91,13 @@ class UnseenTasks:
         prompts = self._start(NOT_ADAPTED).task_prompts().detach()
         yield Candidate(label, self.controller(prompts, self.returns), "nothing")
 
-    def controller(self, prompts: Tensor, returns: ReturnTable) -> PromptController:
+    def controller(
+        self, prompts: Tensor, returns: ReturnTable, policy: PromptPolicy | None = None
+    ) -> PromptController:
+        """The trained policy, or one tuned from it, behind these prompts."""
         family = self._material.family
         return PromptController(
-            self._trained.policy, prompts, returns, self._config.sampler.window,
+            policy or self._trained.policy, prompts, returns, self._config.sampler.window,
             family.action_low, family.action_high,
         )  # fmt: skip
 
@@ -151,13 +154,10 @@ class UnseenTasks:
                 self._trained.policy, start, labelled, self._rows,
                 self._config.sampler.window, self.returns, settings, self._seed, on_step,
             )  # fmt: skip
-            family = self._material.family
             controllers = [
-                PromptController(policy, prompt, self.returns.select(torch.tensor([i])),
-                                 self._config.sampler.window, family.action_low,
-                                 family.action_high)
+                self.controller(prompt, self.returns.select(torch.tensor([i])), policy)
                 for i, (policy, prompt) in enumerate(tuned)
-            ]  # fmt: skip
+            ]
             reads: Reads = "demonstration" if settings.demonstration else "labelled steps"
             yield Candidate(f"few-shot {quality}", PerTaskController(controllers), reads)
 

@@ -21,22 +21,17 @@ from mpdt.train.phases import phase_seed
 
 
 def untrained_prompts(
-    material: Material,
-    config: TrainConfig,
-    policy: PromptPolicy,
-    returns: ReturnTable,
-    spread: float,
+    material: Material, config: TrainConfig, policy: PromptPolicy, returns: ReturnTable
 ) -> TaskPrompts:
     """Prompts of the training tasks before their first update.
 
     Args:
         returns: one row per training task.
-        spread: standard deviation of the backbone's word embeddings.
     Raises: UsageError for settings that exclude each other.
     """
     settings, seed = config.prompts, phase_seed(config.seed, "student")
     backbone = policy.backbone
-    shape = (settings, len(material.train_rows), backbone.width, spread)
+    shape = (settings, len(material.train_rows), backbone.width, backbone.spread)
     taught = config.teacher.distillation == "parts"
     if taught and config.mixing.share:
         raise UsageError("the teacher's prompts are not trained, so they cannot be trained mixed",
