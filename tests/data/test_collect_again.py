@@ -77,14 +77,19 @@ def interrupt_after(blocks: int) -> Callable[[Progress], None]:
     return tell
 
 
+def interrupted(spec: DatasetSpec, target: Path, blocks: int) -> Path:
+    """`target` after a collection that was stopped when so many blocks were done."""
+    with pytest.raises(KeyboardInterrupt):
+        collect(spec, target, workers=0, on_progress=interrupt_after(blocks))
+    return target
+
+
 def test_an_interrupted_collection_goes_on(
     fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
 ) -> None:
     whole = collect(tiny_spec, tmp_path / "whole.h5", workers=0).dataset
-    target = tmp_path / "x.h5"
     for _ in range(2):
-        with pytest.raises(KeyboardInterrupt):
-            collect(tiny_spec, target, workers=0, on_progress=interrupt_after(5))
+        target = interrupted(tiny_spec, tmp_path / "x.h5", 5)
     assert not target.exists()
     parts = sorted((PartsFolder(target).path / "blocks").iterdir())
     assert len(parts) == 10
@@ -104,9 +109,7 @@ def test_parts_of_other_rates_are_made_again_and_told_apart(
     fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
 ) -> None:
     """Rung 1 acts in medium and history at another level: its hash or its progress differ."""
-    target = tmp_path / "x.h5"
-    with pytest.raises(KeyboardInterrupt):
-        collect(tiny_spec, target, workers=0, on_progress=interrupt_after(4))
+    target = interrupted(tiny_spec, tmp_path / "x.h5", 4)
     names = {path.stem for path in (PartsFolder(target).path / "blocks").iterdir()}
     assert names == {"forward-random-0", "forward-random-1", "forward-medium-0", "forward-medium-1"}
     fakes(0.45)
@@ -119,9 +122,7 @@ def test_parts_of_other_rates_are_made_again_and_told_apart(
 def test_parts_of_another_spec_are_refused(
     fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
 ) -> None:
-    target = tmp_path / "x.h5"
-    with pytest.raises(KeyboardInterrupt):
-        collect(tiny_spec, target, workers=0, on_progress=interrupt_after(5))
+    target = interrupted(tiny_spec, tmp_path / "x.h5", 5)
     other = msgspec.structs.replace(tiny_spec, horizon=6)
     with pytest.raises(DataError, match="horizon 5 -> 6"):
         collect(other, target, workers=0)
@@ -131,9 +132,7 @@ def test_parts_of_another_spec_are_refused(
 def test_parts_of_another_mujoco_are_refused(
     fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    target = tmp_path / "x.h5"
-    with pytest.raises(KeyboardInterrupt):
-        collect(tiny_spec, target, workers=0, on_progress=interrupt_after(1))
+    target = interrupted(tiny_spec, tmp_path / "x.h5", 1)
     real = provenance.packages()
     monkeypatch.setattr(provenance, "packages", lambda: real | {"mujoco": "9.9.9"})
     with pytest.raises(DataError, match=r'versions\.mujoco .* -> "9\.9\.9"'):

@@ -11,10 +11,12 @@ import torch
 from mpdt.errors import UsageError
 from mpdt.model.backbone import from_settings
 from mpdt.model.weights import load_weights
+from mpdt.train import unseen
 from mpdt.train.config import TrainConfig, differences, to_plain
 from mpdt.train.folder import locate
 from mpdt.train.material import load_material, sample_demonstrations
 from mpdt.train.methods import METHODS, apply_method, merge
+from mpdt.train.multitask import as_batch
 from mpdt.train.pipeline import run_pipeline
 from mpdt.train.presets import base, smoke
 from mpdt.train.progress import Progress
@@ -137,3 +139,29 @@ def test_parts_of_a_teacher_are_its_prompts_until_the_end(tiny_file, tmp_path):
 
 def merged(config: TrainConfig, changes: dict) -> TrainConfig:
     return msgspec.convert(merge(to_plain(config), changes), TrainConfig)
+
+
+def test_a_donor_is_chosen_by_all_training_tasks(tiny_file, tmp_path, monkeypatch):
+    """An update takes one task of the two; the choice of whose demonstration to show takes both."""
+    drawn = []
+
+    def watched(windows):
+        drawn.append(sorted(set(windows.tasks.tolist())))
+        return as_batch(windows)
+
+    monkeypatch.setattr(unseen, "as_batch", watched)
+    run(merged(tiny("Prompt-DT"), {"sampler": {"tasks_per_update": 1}}), tiny_file, tmp_path)
+    both = sorted(load_material(str(tiny_file), "expert").train_rows)
+    assert len(both) == 2 and drawn.count(both) >= unseen.DONOR_BATCHES
+
+
+def test_adapters_that_saw_a_demonstration_say_so(tiny_file, tmp_path):
+    scores = run(tiny("HDT"), tiny_file, tmp_path)["scores"]
+    assert {s["reads"] for s in scores if "few-shot" in s["method"]} == {"demonstration"}
+
+
+def test_a_teacher_of_no_updates_still_teaches(tiny_file, tmp_path):
+    config = merged(tiny("MPDT"), {"teacher": {"steps": 0}, "multitask": {"log_every": 1}})
+    run(config, tiny_file, tmp_path)
+    log = [json.loads(line) for line in (tmp_path / "r/metrics.jsonl").read_text().splitlines()]
+    assert all("distillation_loss" in line for line in log if line["phase"] == "student")
