@@ -19,7 +19,7 @@ from mpdt.model.returns import ReturnTable
 from mpdt.train import judge, unseen
 from mpdt.train.evaluate import ConstantController, Evaluation, UniformController, evaluate
 from mpdt.train.judge import Judge
-from mpdt.train.material import load_material
+from mpdt.train.material import Material, load_material
 from mpdt.train.presets import smoke
 from mpdt.train.results import MEAN
 from mpdt.train.unseen import UnseenTasks
@@ -157,6 +157,13 @@ def test_what_adaptation_read_is_said(judged, returns, read):
     said = {s.method: s.reads for s in judged(returns=returns) if s.block == "test"}
     assert said["MPDT from cross, adapted"] == read
     assert said["MPDT P_c o mean P_k, not adapted"] == "nothing" and said["random"] is None
+
+
+def test_knowing_the_task_is_told_where_only_the_goal_is_unseen(judged, monkeypatch):
+    goals = SimpleNamespace(training_key=None, held_out_key=None)
+    monkeypatch.setattr(Material, "goals", property(lambda self: goals))
+    said = {s.method: s.reads for s in judged() if s.block == "test"}
+    assert said["MPDT own prompts"] == "task id"
 
 
 def test_statistics_show_episodes_evenly(tiny_file, monkeypatch):

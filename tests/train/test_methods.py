@@ -71,6 +71,13 @@ def test_a_method_changes_what_it_says_and_nothing_else():
         apply_method(base(), "Promt-DT")
 
 
+def test_prompts_are_mixed_where_they_were_made_for_it():
+    """The choice of held-out training tasks, decision 0010."""
+    tasks = {method: apply_method(base(), method).adapt.infer.tasks for method in METHODS}
+    assert {method for method, most in tasks.items() if most == 2} == {"MPDT-ones", "MPDT-mixed"}
+    assert set(tasks.values()) == {1, 2}
+
+
 def test_merge_by_hand():
     assert merge({"a": {"x": 1, "y": 2}, "b": 3}, {"a": {"y": 5}, "c": 4}) == {
         "a": {"x": 1, "y": 5}, "b": 3, "c": 4,

@@ -2,12 +2,14 @@
 
 import importlib.util
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from mpdt.model.weights import WeightsHeader, save_weights
+from mpdt.train import plots
 from mpdt.train.maps import KEPT, MAPS, keep_prompts, prompt_maps
 from mpdt.train.plots import plot_kept_prompts, plot_prompts, plot_study
 from mpdt.train.results import MEAN, Score
@@ -52,6 +54,17 @@ def test_of_a_study_the_prompts_that_it_kept_are_drawn(tmp_path, weights):
     (maps,) = plot_kept_prompts(CELLS, tmp_path, tmp_path / "out")
     assert maps.name == "d-prompts.png"
     assert plot_kept_prompts(CELLS, tmp_path / "elsewhere", tmp_path / "out") == []
+
+
+def test_of_several_cells_mpdt_e_is_drawn(tmp_path, weights, monkeypatch):
+    both = [replace(CELLS[0], label=label, content={"cell": f"d.{label}.s0"})
+            for label in ("m", "MPDT-E")]  # fmt: skip
+    for cell in both:
+        keep_prompts(weights, tmp_path / f"{cell.content['cell']}{KEPT}")
+    drawn = []
+    monkeypatch.setattr(plots, "plot_prompts", lambda path, *_: drawn.append(path.name) or [])
+    plot_kept_prompts(both, tmp_path, tmp_path)
+    assert drawn == [f"d.MPDT-E.s0{KEPT}"]
 
 
 def test_what_is_kept_is_drawn_as_the_whole_would_be(tmp_path):

@@ -167,6 +167,15 @@ def test_task_by_task_seeds_are_put_together_and_references_are_not():
     assert task_intervals([cell(1, 4.0, 6.0)], "test")["b"]["m infer"] == (6.0, 5.0, 7.0)
 
 
+def test_one_episode_per_task_has_no_interval():
+    """Its resampling gives the mean each time; that is not certainty."""
+    once = cell(0, 2.0, 4.0)
+    scores = tuple(msgspec_replace(s, low=s.mean, high=s.mean) for s in once.scores)
+    once = CellResult("d", "m", 0, scores, {})
+    assert math.isnan(summarise([once], "test")[1].interval[0])
+    assert math.isnan(task_intervals([once], "test")["b"]["m infer"][1])
+
+
 def test_the_best_of_each_kind_of_reading_stays():
     cells = [cell(0, 2.0, 4.0), cell(0, 1.0, 3.0, label="worse"), cell(0, 3.0, 5.0, label="best")]
     assert [row.method for row in best_of_each(summarise(cells, "test"))] == [
