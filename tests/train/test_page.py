@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from mpdt.model.weights import WeightsHeader, save_weights
+from mpdt.train import page
 from mpdt.train.charts import REFERENCE, adaptation_chart, colours, legend, short_names
 from mpdt.train.cli import main
 from mpdt.train.maps import map_pixels
@@ -158,6 +159,18 @@ def test_a_study_has_a_part_for_each_data_set_and_block(tmp_path):
         "m s0 cross", "m s1 cross", "n s0 cross", "n s1 cross",
     ]  # fmt: skip
     write_result(tmp_path / "page.html", content)
+
+
+def test_bars_of_a_task_are_of_all_seeds(monkeypatch):
+    """Seeds earn 1 and 3 in task a."""
+    drawn = {}
+    monkeypatch.setattr(page, "bars", lambda task, rows, keys: drawn.update({task: rows}) or [])
+    cells = [
+        CellResult("d", "m", seed, tuple(score("m", task, mean) for task in ("a", MEAN)), {})
+        for seed, mean in ((0, 1.0), (1, 3.0))
+    ]
+    study_content(cells, "first")
+    assert list(drawn) == ["a"] and [row.mean for row in drawn["a"]] == [2.0]
 
 
 def test_names_out_of_files_stay_words(tmp_path):
