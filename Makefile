@@ -89,11 +89,10 @@ wheel: .venv/ready
 
 # Needs a Chromium: apt-get install chromium
 pages: .venv/ready
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[pages,browser]'
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[browser]'
 	$(BIN)/pytest -m slow tests/test_pages.py
 
 results: .venv/ready
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	$(BIN)/mpdt-train report results/first-pass -o docs/results
 
 clean:

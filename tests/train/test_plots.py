@@ -40,7 +40,6 @@ def test_without_matplotlib_nothing_is_drawn_and_that_is_said(monkeypatch, tmp_p
 
 
 def test_a_study_and_the_prompts_are_drawn(tmp_path, weights):
-    pytest.importorskip("matplotlib")
     made = plot_study(CELLS, tmp_path / "out")
     names = ["d-tasks.png", "d-each-task.png", "d-training.png", "d-adaptation.png"]
     assert [path.name for path in made] == names and all(p.stat().st_size > 5000 for p in made)
@@ -49,7 +48,6 @@ def test_a_study_and_the_prompts_are_drawn(tmp_path, weights):
 
 
 def test_of_a_study_the_prompts_that_it_kept_are_drawn(tmp_path, weights):
-    pytest.importorskip("matplotlib")
     assert keep_prompts(weights, tmp_path / f"d.m.s0{KEPT}")
     (maps,) = plot_kept_prompts(CELLS, tmp_path, tmp_path / "out")
     assert maps.name == "d-prompts.png"

@@ -106,8 +106,6 @@ def test_pictures_name_the_extra_they_need(
 
 def test_a_picture_and_a_clip(tiny_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of ready-made frames: what the files begin with says what they are."""
-    pytest.importorskip("matplotlib")
-    pytest.importorskip("imageio_ffmpeg")
     import numpy as np
 
     def drawn(path: Path, ids: list[int], num_frames: int = 6) -> list[film.Film]:
