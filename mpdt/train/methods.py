@@ -80,6 +80,11 @@ METHODS: Mapping[str, tuple[Changes, ...]] = {
 }  # fmt: skip
 
 
+def has_language_model(method: str) -> bool:
+    """Whether the method's network has the shape of a language model, and so a depth to choose."""
+    return _FROM_SCRATCH not in METHODS[method]
+
+
 def apply_method(config: TrainConfig, name: str) -> TrainConfig:
     """The configuration with a method's changes, under its name.
 

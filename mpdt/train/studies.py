@@ -1,7 +1,9 @@
 """Studies: lists of cells = data x method x seed, with the settings that are studied. Data only.
 
-    first-pass    every method on every family, three seeds for the main ones; on cheetah_vel
-                  one thing changed at a time as well
+    one-block     every method on every family with one block of the language model, three seeds
+                  for the main ones; on cheetah_vel one thing changed at a time as well
+    first-pass    the same with four blocks, begun first: it costs four times as much, was run in
+                  part, and shows what the depth does
 
 Sizes were chosen by cost, not by returns (docs/decisions/0011).
 """
@@ -13,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mpdt.errors import unknown_name
-from mpdt.train.methods import merge
+from mpdt.train.methods import has_language_model, merge
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,15 @@ _EXPERT = {"few_shot": {"qualities": ["expert"]}}
 _LEVELS = {"few_shot": {"qualities": ["expert", "medium", "random", "mixed"]}}
 
 
+def _size(data: str) -> Mapping[str, Any]:
+    return _FEW if data == "cheetah_dir" else {} if data in ("ml10", "mt10") else _MANY
+
+
 def _cell(
     data: str, method: str, *changes: Mapping[str, Any], seed: int = 0, label: str = ""
 ) -> Cell:
-    size = _FEW if data == "cheetah_dir" else {} if data in ("ml10", "mt10") else _MANY
     laid: dict[str, Any] = {}
-    for each in (_TWO, size, *changes):
+    for each in (_TWO, _size(data), *changes):
         laid = merge(laid, each)
     return Cell(data, method, seed, label, changes=laid)
 
@@ -122,7 +127,73 @@ _ABLATIONS: tuple[Cell, ...] = (
                              ("ml10", 0), ("mt10", 0))),
 )  # fmt: skip
 
+
+def _one(
+    data: str, method: str, *changes: Mapping[str, Any], seed: int = 0, label: str = ""
+) -> Cell:
+    """With one block, judged by default: `infer` as the method has it."""
+    laid: dict[str, Any] = {}
+    for each in (_ONE_BLOCK if has_language_model(method) else {}, _size(data), *changes):
+        laid = merge(laid, each)
+    return Cell(data, method, seed, label, changes=laid)
+
+
+_ONE_BLOCK: Mapping[str, Any] = {"backbone": {"depth": 1}}
+_EVERY_START = {"adapt": {"starts": _ALL_STARTS}}
+# What each method is judged with.
+_OWN: Mapping[str, tuple[Mapping[str, Any], ...]] = {
+    "MPDT-E": (_EVERY_START, _LEVELS),
+    "MPDT": (_STARTS, _EXPERT),
+    "MPDT-no-distillation": (_STARTS, _EXPERT),
+    "MPDT-ones": (_STARTS, _EXPERT),
+    "MPDT-mixed": (_STARTS, _EXPERT),
+    "MPDT-WP": (_STARTS,),
+    "MPDT-WP-frozen": (_STARTS,),
+    "MPDT-teacher-parts": (_STARTS,),
+    "MPDT+sparse": (_STARTS,),
+    "Soft-Prompt-TTA": (_EXPERT,),
+    "Prompt-DT": (_INFER,),
+}
+
+
+def _method(data: str, method: str, seed: int = 0) -> Cell:
+    return _one(data, method, *_OWN.get(method, ()), seed=seed)
+
+
+_FEW_BASELINES = ("Prompt-DT-TTA", "MT-BC-FT", "MT-ORL-FT", "HDT", "LaMo", "Full-FT")
+_THRICE = ("MPDT-ones", "MPDT-E", "Prompt-DT", "MPDT-WP", "MPDT-no-distillation")
+_ONCE = ("MPDT", "Soft-Prompt-TTA", "MPDT-WP-frozen", "MPDT-mixed", *_FEW_BASELINES, "MPDT+sparse")
+# Claims are judged on cheetah_vel: three seeds for both sides of each.
+_ON_VEL = (*_THRICE, "MPDT", "Soft-Prompt-TTA", "MPDT-WP-frozen", "MPDT-teacher-parts")
+_PLAIN = "MPDT-no-distillation"
+
+_ONE_BLOCK_CELLS: tuple[Cell, ...] = (
+    *(_method(_VEL, method, seed) for seed in (0, 1, 2) for method in _ON_VEL),
+    *(_one(_VEL, _PLAIN, {"prompts": changed}, _STARTS, seed=seed, label=label)
+      for seed in (0, 1, 2)
+      for label, changed in (("rank-10", {"rank": 10}), ("length-3", {"length": 3}))),
+    # The weights of MPDT-no-distillation again, acting with the mean of two tasks' prompts.
+    *(_one(_VEL, _PLAIN, _INFER, _TWO, {"evaluation": {"blocks": ["test"]}}, seed=seed,
+           label="mixture") for seed in (0, 1, 2)),
+    *(_method(_VEL, method) for method in _ONCE if method not in _ON_VEL),
+    *(_one(_VEL, _PLAIN, {"prompts": changed}, _STARTS, label=label)
+      for label, changed in (("rank-4", {"rank": 4}), ("length-9", {"length": 9}),
+                             ("length-60", {"length": 60}), ("length-90", {"length": 90}))),
+    _one(_VEL, "MPDT-E", {"teacher": {"distillation": "prompt"}}, _STARTS, label="distil-prompt"),
+    # Is anything left of a language model? Trained from scratch, with prompts that can be averaged.
+    *(_one(_VEL, "MPDT-WP", {"prompts": {"task_init": "ones"}}, _TWO, _STARTS, seed=seed,
+           label="WP-ones") for seed in (0, 1, 2)),
+    *(_method(data, method) for data in ("cheetah_dir", "ant_dir", "ml10")
+      for method in (*_THRICE, *_ONCE)),
+    *(_method("mt10", method) for method in ("MPDT-ones", "MPDT-E", "Prompt-DT")),
+    *(_method(data, method, seed) for data in ("cheetah_dir", "ant_dir", "ml10")
+      for seed in (1, 2) for method in _THRICE),
+    *(_one(data, "MPDT-ones", _LONG, {"multitask": {"steps": 8000}}, _STARTS, _EXPERT, seed=seed,
+           label="ones-long") for seed in (0, 1, 2) for data in ("mt10", "ml10")),
+)  # fmt: skip
+
 STUDIES: Mapping[str, tuple[Cell, ...]] = {
+    "one-block": _ONE_BLOCK_CELLS,
     "first-pass": (
         *(cell for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10")
           for cell in _family(data)),
