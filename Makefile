@@ -8,7 +8,8 @@
 #              about an hour on two cores; writes results/trust/*.json and docs/trust.md
 # make ecosystem   exports read by the packages they are made for, in build/ecosystem; writes
 #              results/ecosystem.json and docs/ecosystem.md
-# make results tables and pictures under docs/results, from the cells in results/first-pass
+# make results tables and pictures under docs/results, from the cells in results/one-block and
+#              results/first-pass
 # make pages   the pages in a headless Chromium
 # make docs    the references under docs/reference/ and the list of all options, from the code
 # make wheel   build the wheel, install it into build/wheel and try it there
@@ -93,7 +94,8 @@ pages: .venv/ready
 	$(BIN)/pytest -m slow tests/test_pages.py
 
 results: .venv/ready
-	$(BIN)/mpdt-train report results/first-pass -o docs/results
+	$(BIN)/mpdt-train report results/one-block -o docs/results
+	$(BIN)/mpdt-train report results/first-pass -o docs/results/four-blocks
 
 clean:
 	rm -rf .venv demo

@@ -68,10 +68,10 @@ def plot_prompts(weights: Path, folder: Path, name: str = "prompts.png") -> list
             axes.set_yticks([])
         axes.set_xlabel("embedding dimension; rows of a map are the tokens of the prompt")
 
-    return _picture(folder / name, draw)
+    return _picture(folder / name, draw, dpi=72)  # noise does not compress
 
 
-def _picture(path: Path, draw: Callable[[Any], None]) -> list[Path]:
+def _picture(path: Path, draw: Callable[[Any], None], dpi: int = 120) -> list[Path]:
     if importlib.util.find_spec("matplotlib") is None:
         _log.warning("no plots: matplotlib is not installed (python -m pip install 'mpdt[docs]')")
         return []
@@ -80,7 +80,7 @@ def _picture(path: Path, draw: Callable[[Any], None]) -> list[Path]:
     figure = Figure(figsize=(9, 5), layout="constrained")
     draw(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    figure.savefig(path, dpi=dpi)
     return [path]
 
 

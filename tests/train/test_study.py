@@ -105,6 +105,13 @@ def test_shipped_studies_are_possible():
         get_study("frist-pass")
 
 
+def test_one_block_cuts_language_models_and_nothing_else():
+    """Prompt-DT and its like have three blocks of their own, whatever a study says of depth."""
+    small = {"Prompt-DT", "Prompt-DT-TTA", "MT-BC-FT", "MT-ORL-FT", "HDT"}
+    for cell in get_study("one-block"):
+        assert configure(cell).backbone.depth == (None if cell.method in small else 1), cell.name
+
+
 def call(*arguments):
     with pytest.raises(SystemExit) as stopped:
         main([str(argument) for argument in arguments])
