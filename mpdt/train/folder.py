@@ -8,6 +8,7 @@ runs/<name>/
   teacher.safetensors   teacher prompts with their time table and head
   weights.safetensors   the trained policy, trainables only
   results.json, report.md
+  judged/HASH.json      results.json of earlier judgements of these weights, under other settings
 """
 
 from __future__ import annotations
@@ -75,6 +76,10 @@ class RunFolder:
     @property
     def report(self) -> Path:
         return self.path / "report.md"
+
+    def judged(self, judging: str) -> Path:
+        """Where results of that hash of judging go when others take their place."""
+        return self.path / "judged" / f"{judging[:16]}.json"
 
 
 def locate(runs_dir: Path, name: str) -> RunFolder:

@@ -24,7 +24,7 @@ from mpdt.train.progress import Progress
 from mpdt.train.report import build_tables, render_markdown
 from mpdt.train.results import encode_results, write_atomic
 from mpdt.train.run import Trained, Trainer, count_trainables
-from mpdt.train.show import find_results
+from mpdt.train.show import find_results, set_aside
 from mpdt.train.state import StopRequest
 
 FORMAT = "mpdt-results/1"
@@ -66,7 +66,7 @@ def run_pipeline(
         material.random_ids()
     identity = identify(config, material)
     progress.say(_describe(material))
-    if not restart and (results := find_results(folder.path, identity.hashes)):
+    if not restart and (results := find_results(folder, identity.hashes)):
         progress.say(f"this run is done: {folder.path} (again: --restart)")
         return results
     inspect(folder, identity, restart)
@@ -117,7 +117,7 @@ def _train_and_judge(trainer: Trainer, name: str, identity: Identity) -> dict[st
     }
     # results.json goes first and comes last: it is what marks a run as done.
     with disk(folder.results):
-        folder.results.unlink(missing_ok=True)
+        set_aside(folder)
     write_atomic(folder.report, render_markdown(facts, build_tables(scores)).encode())
     write_atomic(folder.results, content)
     progress.say(f"written to {folder.path}")

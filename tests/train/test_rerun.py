@@ -60,12 +60,29 @@ def test_judged_anew_is_judged_as_at_first(again, finished, capsys):
     """There and back: the weights on disk are all that judging depends on."""
     folder, arguments = again
     assert call(*arguments, "--adapt.steps", 3, "-q") == 0
+    shutil.rmtree(folder / "judged")
     assert call(*arguments) == 0
     assert "trained already" in capsys.readouterr().err
     assert results_of(folder)["scores"] == results_of(finished)["scores"]
     for name in ("metrics.jsonl", "report.md"):
         assert (folder / name).read_bytes() == (finished / name).read_bytes(), name
+    shutil.rmtree(folder / "judged")
     assert names_in(folder) == names_in(finished)
+
+
+def test_an_earlier_judgement_is_kept_and_answers_at_once(again, finished, capsys):
+    folder, arguments = again
+    assert call(*arguments, "--adapt.steps", 3, "-q") == 0
+    (kept,) = (folder / "judged").iterdir()
+    assert kept.read_bytes() == (finished / "results.json").read_bytes()
+    capsys.readouterr()
+    assert call(*arguments, "--json") == 0
+    captured = capsys.readouterr()
+    assert "this run is done" in captured.err
+    assert json.loads(captured.out) == results_of(finished)
+    kept.write_text("{half")
+    assert call(*arguments, "-q") == 0
+    assert results_of(folder)["scores"] == results_of(finished)["scores"]
 
 
 def test_other_data_judge_anew_or_are_refused(again, finished, monkeypatch, capsys):
