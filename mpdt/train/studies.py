@@ -70,10 +70,18 @@ def _size(data: str) -> Mapping[str, Any]:
 def _cell(
     data: str, method: str, *changes: Mapping[str, Any], seed: int = 0, label: str = ""
 ) -> Cell:
+    return _laid(data, method, seed, label, _blocks(method, 4), _TWO, *changes)
+
+
+def _laid(data: str, method: str, seed: int, label: str, *changes: Mapping[str, Any]) -> Cell:
     laid: dict[str, Any] = {}
-    for each in (_TWO, _size(data), *changes):
+    for each in (_size(data), *changes):
         laid = merge(laid, each)
     return Cell(data, method, seed, label, changes=laid)
+
+
+def _blocks(method: str, depth: int) -> Mapping[str, Any]:
+    return {"backbone": {"depth": depth}} if has_language_model(method) else {}
 
 
 def _family(data: str) -> tuple[Cell, ...]:
@@ -132,13 +140,9 @@ def _one(
     data: str, method: str, *changes: Mapping[str, Any], seed: int = 0, label: str = ""
 ) -> Cell:
     """With one block, judged by default: `infer` as the method has it."""
-    laid: dict[str, Any] = {}
-    for each in (_ONE_BLOCK if has_language_model(method) else {}, _size(data), *changes):
-        laid = merge(laid, each)
-    return Cell(data, method, seed, label, changes=laid)
+    return _laid(data, method, seed, label, _blocks(method, 1), *changes)
 
 
-_ONE_BLOCK: Mapping[str, Any] = {"backbone": {"depth": 1}}
 _EVERY_START = {"adapt": {"starts": _ALL_STARTS}}
 # What each method is judged with.
 _OWN: Mapping[str, tuple[Mapping[str, Any], ...]] = {
