@@ -54,10 +54,11 @@ def run_pipeline(
         raise UsageError("setting out of range", where="--time-limit-s",
                          expected="at least 0", found=str(time_limit_s))  # fmt: skip
     group = Group.join()
-    if group.size > 1 and config.inputs.return_dropout:
-        raise UsageError("return dropout is drawn for whole batches, not for a process's share",
-                         where="inputs.return_dropout", expected="0 with torchrun",
-                         found=str(config.inputs.return_dropout))  # fmt: skip
+    for name in ("return_dropout", "observation_noise"):
+        if group.size > 1 and getattr(config.inputs, name):
+            raise UsageError("drawn for whole batches, not for a process's share",
+                             where=f"inputs.{name}", expected="0 with torchrun",
+                             found=str(getattr(config.inputs, name)))  # fmt: skip
     # Every process keeps checkpoints of its own; what is judged and kept is the first one's.
     folder = locate(runs_dir, name if group.rank == 0 else f"{name}.rank-{group.rank}")
     material = load_material(data, config.quality)
