@@ -48,6 +48,12 @@ class Group:
             dist.init_process_group(backend)
         return cls(dist.get_rank(), size)
 
+    def leave(self) -> None:
+        """Wait for the others, then close: who ends with open connections may abort."""
+        if self.size > 1:
+            dist.barrier()
+            dist.destroy_process_group()
+
     def share(self, windows: WindowBatch) -> WindowBatch:
         """This rank's windows of every task.
 

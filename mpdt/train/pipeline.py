@@ -54,11 +54,11 @@ def run_pipeline(
         raise UsageError("setting out of range", where="--time-limit-s",
                          expected="at least 0", found=str(time_limit_s))  # fmt: skip
     group = Group.join()
-    for name in ("return_dropout", "observation_noise"):
-        if group.size > 1 and getattr(config.inputs, name):
+    for drawn in ("return_dropout", "observation_noise"):
+        if group.size > 1 and getattr(config.inputs, drawn):
             raise UsageError("drawn for whole batches, not for a process's share",
-                             where=f"inputs.{name}", expected="0 with torchrun",
-                             found=str(getattr(config.inputs, name)))  # fmt: skip
+                             where=f"inputs.{drawn}", expected="0 with torchrun",
+                             found=str(getattr(config.inputs, drawn)))  # fmt: skip
     # Every process keeps checkpoints of its own; what is judged and kept is the first one's.
     folder = locate(runs_dir, name if group.rank == 0 else f"{name}.rank-{group.rank}")
     material = load_material(data, config.quality)
@@ -91,6 +91,7 @@ def run_pipeline(
     with claimed(folder, identity, restart):
         if group.rank > 0:
             trainer.train()
+            group.leave()
             return {}
         return _train_and_judge(trainer, name, identity)
 
@@ -100,6 +101,7 @@ def _train_and_judge(trainer: Trainer, name: str, identity: Identity) -> dict[st
     material, folder, progress = trainer.material, trainer.folder, trainer.progress
     began_s = time.monotonic()
     trained = trainer.train()
+    trainer.group.leave()
     trained_s = time.monotonic() - began_s
     if not trained.complete:
         progress.say(f"training ended by --time-limit-s: {_updates(trained)}")

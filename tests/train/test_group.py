@@ -100,6 +100,7 @@ def main() -> None:
     group = Group.join()
     options = SimpleNamespace(path=Path(sys.argv[1]), folder=Path(sys.argv[2]))
     found = run_updates(options.path, group)
+    group.leave()
     (options.folder / f"{group.rank}.json").write_text(json.dumps(found))
 
 
