@@ -49,6 +49,7 @@ _MANY: Mapping[str, Any] = {
     "evaluation": {"train_episodes": 1},
 }
 _FEW: Mapping[str, Any] = {"teacher": {"steps": 200}, "multitask": {"steps": 400}}
+_TEN: Mapping[str, Any] = {"teacher": {"steps": 200}, "multitask": {"steps": 600}}
 # What training longer brings: smaller updates, five times as many and more.
 _LONG: Mapping[str, Any] = {
     "sampler": {"per_task": 6},
@@ -70,7 +71,7 @@ _VEL = "cheetah_vel"
 
 
 def _laid(data: str, method: str, seed: int, label: str, *changes: Mapping[str, Any]) -> Cell:
-    size = _FEW if data == "cheetah_dir" else {} if data in ("ml10", "mt10") else _MANY
+    size = {"cheetah_dir": _FEW, "ml10": _TEN, "mt10": _TEN}.get(data, _MANY)
     laid: dict[str, Any] = {}
     for each in (size, *changes):
         laid = merge(laid, each)
