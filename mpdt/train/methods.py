@@ -28,7 +28,7 @@ _UNADAPTED: Changes = {"adapt": {"starts": ["none"]}}
 _FROM_SCRATCH: Changes = {"backbone": {"name": "random:prompt-dt", "depth": None, "frozen": False}}
 _THREE_TOKENS: Changes = {
     "inputs": {"kind": "trained", "start": "random", "tokens_per_step": 3,
-               "return_to_go": "family", "return_clip": True},
+               "previous_action": True, "return_to_go": "family", "return_clip": True},
     "head": {"hidden": 0},
 }  # fmt: skip
 _WHOLE_TUNED: Changes = {

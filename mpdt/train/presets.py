@@ -44,11 +44,11 @@ def smoke() -> TrainConfig:
 
 
 def base() -> TrainConfig:
-    """2 CPU cores, no GPU: the first four blocks, in bfloat16 where the processor has it."""
+    """2 CPU cores, no GPU: the first block (0018), in bfloat16 where the processor has it."""
     return TrainConfig(
         method="MPDT-E",
-        backbone=BackboneSettings(depth=4),
-        inputs=InputSettings(kind="trained", return_to_go="none"),
+        backbone=BackboneSettings(depth=1),
+        inputs=InputSettings(kind="trained", return_to_go="none", previous_action=False),
         head=HeadSettings(hidden=256),
         sampler=SamplerSettings(start_bias=30, tasks_per_update=10),
         optimiser=OptimiserSettings(schedule="cosine"),
