@@ -154,6 +154,9 @@ _ONE_BLOCK: tuple[Cell, ...] = (
       for data, steps, size in ((_VEL, 5000, {}), ("mt10", 6000, _SMALLER))
       for changes, label in (({}, "Prompt-DT-long"), (_HIDDEN, "Prompt-DT-long-hidden"))),
     *(_method(_VEL, "MPDT-ones", seed, _HIDDEN, label="ones-hidden") for seed in (0, 1, 2)),
+    # As long as four blocks took.
+    *(_method("ant_dir", "MPDT-ones", seed, {"multitask": {"steps": 4800}}, _HIDDEN,
+              label="ones-long") for seed in (0, 1, 2)),
 )  # fmt: skip
 
 _NEAREST = ({"adapt": {"starts": ["infer", "infer_aligned"], "infer": {"tasks": 1}}}, _TEST)
