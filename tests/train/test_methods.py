@@ -18,7 +18,7 @@ from mpdt.train.material import load_material, sample_demonstrations
 from mpdt.train.methods import METHODS, apply_method, merge
 from mpdt.train.multitask import as_batch
 from mpdt.train.pipeline import run_pipeline
-from mpdt.train.presets import base, smoke
+from mpdt.train.presets import base, paper, smoke
 from mpdt.train.progress import Progress
 from mpdt.train.run import Trainer
 from mpdt.train.state import StopRequest
@@ -110,6 +110,14 @@ def test_returns_are_shown_in_training_and_evaluation_or_in_neither():
     assert apply_method(base(), "MT-BC").inputs.return_to_go == "none"
     assert apply_method(base(), "MT-BC-FT").inputs.return_to_go == "none"
     assert apply_method(base(), "MT-ORL").inputs.return_to_go == "family"
+
+
+def test_prompted_language_models_are_not_shown_their_own_actions():
+    """Decision 0018; what is copied from Decision Transformer keeps its three tokens."""
+    for method in METHODS:
+        inputs = apply_method(base(), method).inputs
+        assert inputs.previous_action is (inputs.tokens_per_step == 3), method
+    assert apply_method(paper(), "MPDT").inputs.previous_action, "as published"
 
 
 def test_demonstrations_are_whole_and_of_the_task_asked_for(tiny_file):
