@@ -65,6 +65,8 @@ _EXPERT = {"few_shot": {"qualities": ["expert"]}}
 _LEVELS = {"few_shot": {"qualities": ["expert", "medium", "random", "mixed"]}}
 _TWO = {"adapt": {"infer": {"tasks": 2}}}
 _TEST = {"evaluation": {"blocks": ["test"]}}
+_ALL_TUNED = {"few_shot": {"qualities": ["expert"], "tuned": "all", "updates": 300},
+              "adapt": {"starts": ["none"]}}  # fmt: skip
 
 _PLAIN = "MPDT-no-distillation"
 _VEL = "cheetah_vel"
@@ -147,6 +149,9 @@ _ONE_BLOCK: tuple[Cell, ...] = (
       for seed in (1, 2) for method in _THRICE),
     *(_one(data, "MPDT-ones", _LONG, _STARTS, _EXPERT, seed=seed, label="ones-long")
       for seed in (0, 1, 2) for data in ("mt10", "ml10")),
+    # Its weights again: few-shot that tunes the map and the head as well.
+    *(_one("ml10", "MPDT-ones", _LONG, _ALL_TUNED, _TEST, seed=seed, label="few-shot-all")
+      for seed in (0, 1, 2)),
     # What the previous action does to it, and Prompt-DT longer, with and without.
     *(_one(data, "MPDT-ones", _LONG, _SHOWN, _STARTS, label="ones-long-shown")
       for data in ("mt10", "ml10")),
@@ -193,9 +198,7 @@ _FIRST_PASS: tuple[Cell, ...] = (
     *(_four(_VEL, _PLAIN, *_NEAREST, seed=seed, label="nearest") for seed in (1, 2)),
     _four("ant_dir", _PLAIN, *_NEAREST, label="nearest"),
     _four("mt10", _PLAIN, _LONG, *_NEAREST, label="long-nearest"),
-    _four("ml10", _PLAIN, {"adapt": {"starts": ["none"]}}, _TEST,
-          {"few_shot": {"qualities": ["expert"], "tuned": "all", "updates": 300}},
-          label="few-shot-all"),
+    _four("ml10", _PLAIN, _ALL_TUNED, _TEST, label="few-shot-all"),
 )  # fmt: skip
 
 STUDIES: Mapping[str, tuple[Cell, ...]] = {"one-block": _ONE_BLOCK, "first-pass": _FIRST_PASS}
