@@ -2,7 +2,7 @@
 
     smoke   seconds; an untrained tiny language model; shows that every part works
     demo    minutes on 2 cores; two tasks of a cheetah
-    base    under an hour on 2 cores for ten Meta-World tasks; the default
+    base    half an hour on 2 cores for ten Meta-World tasks; the default
     paper   the published hyper-parameters (Zheng et al. 2024, review text), as far as public
 
 Every number can be overridden on the command line: --multitask.steps 500.
@@ -50,10 +50,10 @@ def base() -> TrainConfig:
         backbone=BackboneSettings(depth=1),
         inputs=InputSettings(kind="trained", return_to_go="none", previous_action=False),
         head=HeadSettings(hidden=256),
-        sampler=SamplerSettings(start_bias=30, tasks_per_update=10),
-        optimiser=OptimiserSettings(schedule="cosine"),
-        teacher=TeacherSettings(steps=200),
-        multitask=MultitaskSettings(steps=600, checkpoint_every=100),
+        sampler=SamplerSettings(start_bias=30, tasks_per_update=10, per_task=6),
+        optimiser=OptimiserSettings(schedule="cosine", warmup_steps=50),
+        teacher=TeacherSettings(steps=1000),
+        multitask=MultitaskSettings(steps=3000),
         adapt=AdaptSettings(starts=("cross", "infer")),
         evaluation=EvaluationSettings(episodes=5),
     )
@@ -63,6 +63,8 @@ def demo() -> TrainConfig:
     """As `base`, sized for the two tasks of cheetah_dir."""
     return msgspec.structs.replace(
         base(),
+        sampler=SamplerSettings(start_bias=30, per_task=16),
+        teacher=TeacherSettings(steps=200),
         multitask=MultitaskSettings(steps=400, checkpoint_every=100),
         evaluation=EvaluationSettings(episodes=10),
     )

@@ -50,6 +50,12 @@ _MANY: Mapping[str, Any] = {
 }
 _FEW: Mapping[str, Any] = {"teacher": {"steps": 200}, "multitask": {"steps": 400}}
 _TEN: Mapping[str, Any] = {"teacher": {"steps": 200}, "multitask": {"steps": 600}}
+# What all sizes start from.
+_COMMON: Mapping[str, Any] = {
+    "sampler": {"per_task": 16},
+    "optimiser": {"warmup_steps": 100},
+    "multitask": {"checkpoint_every": 100},
+}
 # What training longer brings: smaller updates, five times as many and more.
 _LONG: Mapping[str, Any] = {
     "sampler": {"per_task": 6},
@@ -75,7 +81,7 @@ _VEL = "cheetah_vel"
 def _laid(data: str, method: str, seed: int, label: str, *changes: Mapping[str, Any]) -> Cell:
     size = {"cheetah_dir": _FEW, "ml10": _TEN, "mt10": _TEN}.get(data, _MANY)
     laid: dict[str, Any] = {}
-    for each in (size, *changes):
+    for each in (_COMMON, size, *changes):
         laid = merge(laid, each)
     return Cell(data, method, seed, label, changes=laid)
 
