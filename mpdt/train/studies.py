@@ -150,7 +150,8 @@ _ONE_BLOCK: tuple[Cell, ...] = (
            label="WP-ones") for seed in (0, 1, 2)),
     *(_method(data, method) for data in ("cheetah_dir", "ant_dir", "ml10")
       for method in (*_THRICE, *_ONCE)),
-    *(_method("mt10", method) for method in ("MPDT-ones", "MPDT-E", "Prompt-DT")),
+    *(_method("mt10", method) for method in ("MPDT-ones", "Prompt-DT")),
+    _one("mt10", "MPDT-E", _STARTS),
     *(_method(data, method, seed) for data in ("cheetah_dir", "ant_dir", "ml10")
       for seed in (1, 2) for method in _THRICE),
     *(_one(data, "MPDT-ones", _LONG, _STARTS, _EXPERT, seed=seed, label="ones-long")
