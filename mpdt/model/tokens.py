@@ -45,8 +45,6 @@ class InputSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """Show a_{t-1} (three tokens per step: a_t, after the token that predicts it)."""
     observation_clip: float = 10.0
     """Standardised observations are cut at +- this; 0 never cuts."""
-    observation_noise: float = 0.0
-    """Spread of normal noise on the standardised observations of training windows; 0 = none."""
     time_table: int = 1000
     """Rows of the trained time-step table, at least the horizon; 0 leaves it out."""
     tokens_per_step: Literal[1, 3] = 1
@@ -54,7 +52,6 @@ class InputSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     def __post_init__(self) -> None:
         check_at_least("inputs.time_table", self.time_table, 0)
         check_at_least("inputs.observation_clip", self.observation_clip, 0)
-        check_at_least("inputs.observation_noise", self.observation_noise, 0)
         check_above_zero("inputs.scale", self.scale)
         if not 0 <= self.return_dropout < 1:
             raise UsageError(
@@ -125,16 +122,11 @@ class InputMap(nn.Module):
             timesteps: (n, M, K) int, 0 at pads.
             mask: (n, M, K) bool; whatever stands at pads is replaced by zeros.
             actions: (n, M, K, A), read only with three tokens per step (None = zeros).
-            generator: hand one in to apply `return_dropout` and `observation_noise`; without it
-                nothing is dropped and nothing added.
+            generator: hand one in to apply `return_dropout`; without it nothing is dropped.
         """
         settings = self.settings
         seen = self._returns(returns_to_go, mask, generator)
         states = (observations - self.mean) / self.std
-        if settings.observation_noise > 0 and generator is not None:
-            # Drawn on the processor: the same numbers on every device.
-            noise = torch.randn(states.shape, generator=generator).to(states)
-            states = states + settings.observation_noise * noise
         if settings.observation_clip > 0:
             states = states.clamp(-settings.observation_clip, settings.observation_clip)
         one = settings.tokens_per_step == 1

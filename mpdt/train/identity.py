@@ -60,9 +60,6 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
     # What plain hardware does belongs to runs from before there was a choice, too.
     if settings["hardware"] == to_plain(TrainConfig())["hardware"]:
         del settings["hardware"]
-    # So does an input without noise.
-    if settings["inputs"]["observation_noise"] == 0:
-        del settings["inputs"]["observation_noise"]
     return settings
 
 

@@ -54,11 +54,10 @@ def run_pipeline(
         raise UsageError("setting out of range", where="--time-limit-s",
                          expected="at least 0", found=str(time_limit_s))  # fmt: skip
     group = Group.join()
-    for drawn in ("return_dropout", "observation_noise"):
-        if group.size > 1 and getattr(config.inputs, drawn):
-            raise UsageError("drawn for whole batches, not for a process's share",
-                             where=f"inputs.{drawn}", expected="0 with torchrun",
-                             found=str(getattr(config.inputs, drawn)))  # fmt: skip
+    if group.size > 1 and config.inputs.return_dropout:
+        raise UsageError("return dropout is drawn for whole batches, not for a process's share",
+                         where="inputs.return_dropout", expected="0 with torchrun",
+                         found=str(config.inputs.return_dropout))  # fmt: skip
     # Every process keeps checkpoints of its own; what is judged and kept is the first one's.
     folder = locate(runs_dir, name if group.rank == 0 else f"{name}.rank-{group.rank}")
     material = load_material(data, config.quality)
@@ -67,9 +66,12 @@ def run_pipeline(
         material.random_ids()
     identity = identify(config, material)
     progress.say(_describe(material))
-    if not restart and (results := find_results(folder, identity.hashes)):
+    done = None if restart else find_results(folder.path, identity.hashes)
+    # Only the first process has results; none may go on while another is gone.
+    if group.any([done is not None])[0]:
+        group.leave()
         progress.say(f"this run is done: {folder.path} (again: --restart)")
-        return results
+        return done or {}
     inspect(folder, identity, restart)
     if must_be_trained and not folder.weights.exists():
         raise MissingFileError("no trained weights in this run", where=str(folder.path),
@@ -123,6 +125,8 @@ def _train_and_judge(trainer: Trainer, name: str, identity: Identity) -> dict[st
         set_aside(folder)
     write_atomic(folder.report, render_markdown(facts, build_tables(scores)).encode())
     write_atomic(folder.results, content)
+    with disk(folder.path):
+        folder.judged(identity.hashes["judging"]).unlink(missing_ok=True)
     progress.say(f"written to {folder.path}")
     results: dict[str, Any] = json.loads(content)
     return results

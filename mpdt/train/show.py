@@ -35,10 +35,7 @@ class RunHeader(msgspec.Struct, frozen=True):
 
 def read_results(folder: Path) -> dict[str, Any]:
     """results.json of a run's folder. Raises: MissingFileError, FormatError."""
-    return _read(folder / "results.json")
-
-
-def _read(path: Path) -> dict[str, Any]:
+    path = folder / "results.json"
     if not path.exists():
         raise MissingFileError(
             "no results here",
@@ -54,20 +51,20 @@ def _read(path: Path) -> dict[str, Any]:
     return results
 
 
-def find_results(folder: RunFolder, identity: Mapping[str, str]) -> dict[str, Any] | None:
-    """Those of a finished run of this identity, the last or earlier ones; damaged ones are none."""
-    for path in (folder.results, folder.judged(identity["judging"])):
-        with suppress(MissingFileError, FormatError, OSError):
-            results = _read(path)
-            if results.get("identity") == dict(identity) and results.get("complete") is True:
-                return results
-    return None
+def find_results(folder: Path, identity: Mapping[str, str]) -> dict[str, Any] | None:
+    """results.json if it is that of a finished run of this identity; damaged ones do not count."""
+    try:
+        results = read_results(folder)
+    except (MissingFileError, FormatError, OSError):
+        return None
+    same = results.get("identity") == dict(identity) and results.get("complete") is True
+    return results if same else None
 
 
 def set_aside(folder: RunFolder) -> None:
     """Make room for new results: finished ones are kept under judged/, all others go."""
     with suppress(MissingFileError, FormatError):
-        results = _read(folder.results)
+        results = read_results(folder.path)
         identity = results.get("identity")
         judging = str(identity.get("judging")) if isinstance(identity, dict) else ""
         if re.fullmatch("[0-9a-f]{64}", judging) and results.get("complete") is True:

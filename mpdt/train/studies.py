@@ -1,7 +1,7 @@
 """Studies: lists of cells = data x method x seed, with the settings that are studied. Data only.
 
-    one-block     every method on every family, the language model cut to its first block; three
-                  seeds for the main ones; on cheetah_vel one thing changed at a time as well
+    one-block     every method on every family but mt10, the language model cut to its first block;
+                  three seeds for the main ones; on cheetah_vel one thing changed at a time as well
     first-pass    what was run before with four blocks, at four times the cost (0018)
 
 Sizes were chosen by cost, not by returns (docs/decisions/0011).
@@ -56,7 +56,7 @@ _COMMON: Mapping[str, Any] = {
     "optimiser": {"warmup_steps": 100},
     "multitask": {"checkpoint_every": 100},
 }
-# What training longer brings: smaller updates, five times as many and more.
+# What training longer brings: smaller updates, five times as many.
 _LONG: Mapping[str, Any] = {
     "sampler": {"per_task": 6},
     "optimiser": {"warmup_steps": 50},
@@ -146,8 +146,8 @@ _ONE_BLOCK: tuple[Cell, ...] = (
                              ("length-60", {"length": 60}), ("length-90", {"length": 90}))),
     _one(_VEL, "MPDT-E", {"teacher": {"distillation": "prompt"}}, _STARTS, label="distil-prompt"),
     # Is anything left of a language model? Trained from scratch, with prompts that can be averaged.
-    *(_one(_VEL, "MPDT-WP", {"prompts": {"task_init": "ones"}}, _TWO, _STARTS, seed=seed,
-           label="WP-ones") for seed in (0, 1, 2)),
+    *(_one(_VEL, "MPDT-WP", {"prompts": {"task_init": "ones"}, "teacher": {"distillation": "none"}},
+           _TWO, _STARTS, seed=seed, label="WP-ones") for seed in (0, 1, 2)),
     *(_method(data, method) for data in ("cheetah_dir", "ant_dir", "ml10")
       for method in (*_THRICE, *_ONCE)),
     *(_method("mt10", method) for method in ("MPDT-ones", "Prompt-DT")),
@@ -159,14 +159,15 @@ _ONE_BLOCK: tuple[Cell, ...] = (
     # Its weights again: few-shot that tunes the map and the head as well.
     *(_one("ml10", "MPDT-ones", _LONG, _ALL_TUNED, _TEST, seed=seed, label="few-shot-all")
       for seed in (0, 1, 2)),
-    # What the previous action does to it, and Prompt-DT longer, with and without.
+    # What the previous action does to it; Prompt-DT longer, and with no action in its windows and
+    # demonstrations.
     *(_one(data, "MPDT-ones", _LONG, _SHOWN, _STARTS, label="ones-long-shown")
       for data in ("mt10", "ml10")),
     *(_one(data, "Prompt-DT", {"multitask": {"steps": steps}}, size, _INFER, changes, label=label)
       for data, steps, size in ((_VEL, 5000, {}), ("mt10", 6000, _SMALLER))
-      for changes, label in (({}, "Prompt-DT-long"), (_HIDDEN, "Prompt-DT-long-hidden"))),
+      for changes, label in (({}, "Prompt-DT-long"), (_HIDDEN, "Prompt-DT-long-no-actions"))),
     *(_method(_VEL, "MPDT-ones", seed, _HIDDEN, label="ones-hidden") for seed in (0, 1, 2)),
-    # As long as four blocks took.
+    # As long as four blocks took; as on ml10 and mt10 without the previous action.
     *(_method("ant_dir", "MPDT-ones", seed, {"multitask": {"steps": 4800}}, _HIDDEN,
               label="ones-long") for seed in (0, 1, 2)),
 )  # fmt: skip

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mpdt.data.replacement import disk
-from mpdt.train.claims import GOALS, claims_table, goals_table
+from mpdt.train.claims import CLAIMED_OF, GOALS, claims_table, goals_table
 from mpdt.train.report import Table, render_markdown, rich_tables
 from mpdt.train.results import write_atomic
 from mpdt.train.show import WIDTH_WITHOUT_TERMINAL
@@ -19,7 +19,9 @@ def report_tables(cells: Sequence[CellResult], study: str) -> list[Table]:
     """All tables of a study, in the order of reading."""
     verdicts = []
     if {cell.data for cell in cells} & {goal.data for goal in GOALS}:
-        verdicts = [goals_table(cells), claims_table(cells)]
+        verdicts = [goals_table(cells)]
+    if study == CLAIMED_OF:
+        verdicts.append(claims_table(cells))
     return [*verdicts, *study_tables(cells, study)]
 
 

@@ -81,11 +81,11 @@ class UnseenTasks:
                 reads: Reads = "X+rewards" if settings.returns == "decrement" else "X"
                 reads = "X+rewards" if start in INFERRED else reads
                 prompts = self._adapt(start, source)
-                yield Candidate(_LABELS[start], self.controller(prompts, self.returns), reads)
+                yield Candidate(LABELS[start], self.controller(prompts, self.returns), reads)
         yield from self._few_shot()
         if self._config.few_shot.demonstration:
             yield self._demonstrated()
-        label = _LABELS[NOT_ADAPTED]
+        label = LABELS[NOT_ADAPTED]
         if self._config.prompts.kind != "decomposed":
             label = "not adapted"
         prompts = self._start(NOT_ADAPTED).task_prompts().detach()
@@ -248,7 +248,7 @@ class UnseenTasks:
         return weights
 
 
-_LABELS: dict[Start, str] = {
+LABELS: dict[Start, str] = {
     "cross": "from cross, adapted",
     "cross_mean": "from cross_mean, adapted",
     "cross_one": "from cross_one, adapted",

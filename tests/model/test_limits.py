@@ -26,7 +26,6 @@ REFUSED: list[tuple[type, str, Any, str]] = [
     (InputSettings, "inputs.scale", 0.0, "above 0"),
     (InputSettings, "inputs.observation_clip", -1.0, "at least 0"),
     (InputSettings, "inputs.observation_clip", math.nan, "at least 0"),
-    (InputSettings, "inputs.observation_noise", -0.1, "at least 0"),
     (HeadSettings, "head.hidden", -1, "at least 0"),
     (BackboneSettings, "backbone.depth", 0, "at least 1"),
 ]

@@ -150,17 +150,6 @@ def test_return_dropout_hides_whole_windows_and_repeats() -> None:
     assert torch.equal(dropped, again)
 
 
-def test_observation_noise_has_its_spread_in_training_alone() -> None:
-    """With a spread of 0.5 tokens move as far as those of 0.5 * N(0, 1) added by hand."""
-    quiet, noisy = make(), make(observation_noise=0.5)
-    assert torch.equal(tokens_of(noisy), tokens_of(quiet))
-    assert torch.equal(tokens_of(quiet, generator=torch.Generator()), tokens_of(quiet))
-    drawn = torch.randn(1, 1, 3, D, generator=torch.Generator().manual_seed(7))
-    by_hand = tokens_of(quiet, observations=numbers(1, 1, 3, D) + 0.5 * drawn)
-    assert torch.allclose(tokens_of(noisy, generator=torch.Generator().manual_seed(7)), by_hand)
-    assert not torch.allclose(by_hand, tokens_of(quiet))
-
-
 def test_a_missing_return_needs_a_model_that_knows_of_it() -> None:
     with pytest.raises(SpecError, match="got none"):
         tokens_of(make(return_to_go="task"), returns_to_go=None)

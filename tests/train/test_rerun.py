@@ -70,19 +70,41 @@ def test_judged_anew_is_judged_as_at_first(again, finished, capsys):
     assert names_in(folder) == names_in(finished)
 
 
-def test_an_earlier_judgement_is_kept_and_answers_at_once(again, finished, capsys):
+def test_an_earlier_judgement_is_kept_until_it_is_made_again(again, finished):
     folder, arguments = again
     assert call(*arguments, "--adapt.steps", 3, "-q") == 0
     (kept,) = (folder / "judged").iterdir()
     assert kept.read_bytes() == (finished / "results.json").read_bytes()
-    capsys.readouterr()
-    assert call(*arguments, "--json") == 0
-    captured = capsys.readouterr()
-    assert "this run is done" in captured.err
-    assert json.loads(captured.out) == results_of(finished)
-    kept.write_text("{half")
+    other = (folder / "results.json").read_bytes()
     assert call(*arguments, "-q") == 0
-    assert results_of(folder)["scores"] == results_of(finished)["scores"]
+    (kept,) = (folder / "judged").iterdir()
+    assert kept.read_bytes() == other
+
+
+class Pair:
+    """The second of two processes; the first one says that the run is done."""
+
+    rank, size, left = 1, 2, False
+
+    def any(self, flags):
+        return [True for _ in flags]
+
+    def leave(self):
+        self.left = True
+
+
+def test_a_finished_run_ends_every_process(again, monkeypatch):
+    from mpdt.train import pipeline
+    from mpdt.train.progress import Progress
+    from mpdt.train.state import StopRequest
+
+    folder, arguments = again
+    pair = Pair()
+    monkeypatch.setattr(pipeline.Group, "join", lambda: pair)
+    config = TrainConfig()
+    found = pipeline.run_pipeline(str(arguments[1]), config, folder.parent, "r", False,
+                                  Progress(True), StopRequest())  # fmt: skip
+    assert found == {} and pair.left and not (folder.parent / "r.rank-1").exists()
 
 
 def test_other_data_judge_anew_or_are_refused(again, finished, monkeypatch, capsys):
