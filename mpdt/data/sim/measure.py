@@ -45,9 +45,9 @@ KINDS = ("random", "expert", "zero", "constant")
 SAVE_EVERY_S = 10.0
 RULE = (
     f"{FIRST} episodes per policy, doubled until the standard error of the mean return is under "
-    f"{PRECISION} of |expert - random| or {CAP} are played; --most ends it earlier, and every score "
-    "says after how many. constant+i and constant-i are +1 and -1 along action axis i, and zero is "
-    "a candidate too. std is that of one episode (ddof 1)."
+    f"{PRECISION} of |expert - random| or {CAP} are played; --most ends it earlier, and every "
+    "score says after how many. constant+i and constant-i are +1 and -1 along action axis i, and "
+    "zero is a candidate too. std is that of one episode (ddof 1)."
 )
 
 
