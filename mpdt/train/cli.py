@@ -8,7 +8,7 @@
     mpdt-train settings --preset paper                   every setting and its value
     mpdt-train report runs/ml10-base                     the tables of a finished run
     mpdt-train adapt runs/ml10-base --data ml10.h5 --adapt.starts infer     no training
-    mpdt-train study first-pass --data-dir data          every method that is not done yet
+    mpdt-train study one-block --data-dir data           every method that is not done yet
 
 Results go to stdout, talk to stderr. torch is imported in the bodies, so `--help` is quick.
 """

@@ -117,7 +117,7 @@ class Report:
     """The tables of a finished run, or of all cells of a study."""
 
     folder: tyro.conf.Positional[Path]
-    """A run's folder, such as runs/ml10-base, or a study's results, such as results/first-pass."""
+    """A run's folder, such as runs/ml10-base, or a study's results, such as results/one-block."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write tables.md, tables.csv and plots of a study there, or the maps of a run's prompts
     (plots need the extra `docs`)."""
