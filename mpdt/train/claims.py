@@ -61,6 +61,8 @@ CLAIMS = (
     *(Claim("adaptation on X helps: inferred prompts", data, "MPDT-E infer, adapted",
             "MPDT-E infer")
       for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10")),
+    Claim("adaptation on X helps: inferred prompts", _VEL, "MPDT-ones infer, adapted",
+          "MPDT-ones infer"),
     Claim("a frozen input map is better", _VEL, f"MPDT {_CROSS}", f"MPDT-E {_CROSS}",
           (-139.88, -186.07)),
     Claim("a frozen input map is better: task inferred", _VEL, "MPDT infer", "MPDT-E infer"),
