@@ -169,7 +169,7 @@ def _study(command: Study) -> int:
 
     def body(stop: StopRequest) -> int:
         looked = (inspect_cell(cell, places) for cell in cells)
-        done = run_study(cells, places, Progress(command.quiet), stop)
+        done = run_study(cells, places, Progress(command.quiet), stop, command.restart)
         states = []
         for outcome in looked if command.dry_run else done:
             line = f"{outcome.state:<8} {outcome.cell.name}  {outcome.note}"

@@ -103,7 +103,9 @@ class Study:
     results_dir: Path = Path("results")
     """Where STUDY/CELL.json are written."""
     only: str = ""
-    """Only cells whose name holds this text; a whole name re-runs one cell."""
+    """Only cells whose name holds this text, such as the whole name of one."""
+    restart: bool = False
+    """Train and judge again what is done as well; its results are replaced."""
     dry_run: bool = False
     """Say what is done and what is to do."""
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False

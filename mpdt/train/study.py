@@ -96,15 +96,23 @@ def _look_at(cell: Cell, places: Places) -> Outcome:
 
 
 def run_study(
-    cells: Sequence[Cell], places: Places, progress: Progress, stop: StopRequest
+    cells: Sequence[Cell],
+    places: Places,
+    progress: Progress,
+    stop: StopRequest,
+    restart: bool = False,
 ) -> Iterator[Outcome]:
-    """Each cell's outcome as it comes. Raises: Stopped after a signal; the next call goes on."""
+    """Each cell's outcome as it comes. Raises: Stopped after a signal; the next call goes on.
+
+    Args:
+        restart: begin every cell anew, the done ones too.
+    """
     for cell in cells:
         outcome = inspect_cell(cell, places)
-        if outcome.state == "to do":
+        if outcome.state == "to do" or (restart and outcome.state == "done"):
             progress.say(f"{cell.name} {outcome.note}".rstrip())
             try:
-                _run_cell(cell, places, progress, stop)
+                _run_cell(cell, places, progress, stop, restart)
                 outcome = Outcome(cell, "done")
             except MpdtError as error:
                 progress.say(error.render())
@@ -112,10 +120,12 @@ def run_study(
         yield outcome
 
 
-def _run_cell(cell: Cell, places: Places, progress: Progress, stop: StopRequest) -> None:
+def _run_cell(
+    cell: Cell, places: Places, progress: Progress, stop: StopRequest, restart: bool
+) -> None:
     config = configure(cell)
     results = run_pipeline(
-        str(places.file(cell)), config, places.runs, cell.name, False, progress, stop
+        str(places.file(cell)), config, places.runs, cell.name, restart, progress, stop
     )
     log = MetricsLog(places.runs / cell.name / "metrics.jsonl").records()
     extra = {

@@ -40,8 +40,8 @@ def places(tiny_file, tmp_path):
     return Places(tiny_file.parent, tmp_path / "runs", tmp_path / "results")
 
 
-def states(cells, places):
-    outcomes = run_study(cells, places, Progress(quiet=True), StopRequest())
+def states(cells, places, restart=False):
+    outcomes = run_study(cells, places, Progress(quiet=True), StopRequest(), restart)
     return [(outcome.cell.name, outcome.state) for outcome in outcomes]
 
 
@@ -57,6 +57,15 @@ def test_cells_are_run_skipped_failed_and_left_out(places):
     before = (places.runs / "tiny.short.s1/weights.safetensors").stat().st_mtime_ns
     assert [s for _, s in states([ONE, TWO], places)] == ["done", "done"]
     assert (places.runs / "tiny.short.s1/weights.safetensors").stat().st_mtime_ns == before
+
+
+def test_a_done_cell_can_be_made_again_to_the_same_scores(places):
+    states([TWO], places)
+    weights, result = places.runs / "tiny.short.s1/weights.safetensors", places.result(TWO)
+    before, scores = weights.stat().st_mtime_ns, json.loads(result.read_text())["scores"]
+    assert states([TWO], places, restart=True) == [("tiny.short.s1", "done")]
+    assert weights.stat().st_mtime_ns != before
+    assert json.loads(result.read_text())["scores"] == scores
 
 
 def test_a_damaged_data_file_fails_its_own_cell(tiny_file, places, tmp_path, monkeypatch, capsys):
