@@ -125,12 +125,12 @@ def _each_task(figure: Any, cells: Sequence[CellResult]) -> None:
 
 
 def _training(figure: Any, cells: Sequence[CellResult]) -> None:
-    """Action loss of the last training phase of every cell."""
+    """Action loss of the last training phase, mean over the seeds of a label."""
     _curves(figure, cells, "student", "action loss")
 
 
 def _adaptation(figure: Any, cells: Sequence[CellResult]) -> None:
-    """Alignment loss of every start of every cell."""
+    """Alignment loss of every start, mean over the seeds of a label."""
     _curves(figure, cells, "adapt", "alignment loss")
 
 
@@ -138,13 +138,18 @@ def _curves(figure: Any, cells: Sequence[CellResult], phase: str, what: str) -> 
     axes = figure.subplots()
     # Three dashes of ten colours: thirty lines that can be told apart.
     looks = cycle(product(("-", "--", ":"), (f"C{number}" for number in range(10))))
+    seeds: dict[str, dict[float, list[float]]] = {}
     for cell in cells:
         for name, points in cell.content.get("curve", {}).items():
             if name.startswith(phase):
-                steps, losses = zip(*points, strict=True)
-                label = " ".join([cell.label, f"s{cell.seed}", *name.split()[1:]])
-                dashes, colour = next(looks)
-                axes.plot(steps, losses, dashes, color=colour, label=label, linewidth=1)
+                losses = seeds.setdefault(" ".join([cell.label, *name.split()[1:]]), {})
+                for step, loss in points:
+                    losses.setdefault(step, []).append(loss)
+    for label, losses in seeds.items():
+        dashes, colour = next(looks)
+        means = [float(np.mean(losses[step])) for step in sorted(losses)]
+        axes.plot(sorted(losses), means, dashes, color=colour, label=label, linewidth=1)
+    figure.set_figheight(max(5, 1 + 0.12 * len(seeds)))  # room for every name
     axes.set_yscale("log")
     axes.set_xlabel("updates")
     axes.set_ylabel(what)

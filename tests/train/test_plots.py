@@ -47,6 +47,18 @@ def test_a_study_and_the_prompts_are_drawn(tmp_path, weights):
     assert maps.name == "prompts.png"
 
 
+def test_curves_of_seeds_are_one_line():
+    """Seeds lose 1 and 3 at the first step: 2 on average."""
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    cells = [CellResult("d", "m", seed, (), {"curve": {"student": [[1, loss], [2, 1.0]]}})
+             for seed, loss in ((0, 1.0), (1, 3.0))]  # fmt: skip
+    plots._PICTURES["training"](figure, cells)
+    (line,) = figure.axes[0].lines
+    assert line.get_label() == "m" and list(line.get_ydata()) == [2.0, 1.0]
+
+
 def test_of_a_study_the_prompts_that_it_kept_are_drawn(tmp_path, weights):
     assert keep_prompts(weights, tmp_path / f"d.m.s0{KEPT}")
     (maps,) = plot_kept_prompts(CELLS, tmp_path, tmp_path / "out")
