@@ -8,8 +8,7 @@
 #              about an hour on two cores; writes results/trust/*.json and docs/trust.md
 # make ecosystem   exports read by the packages they are made for, in build/ecosystem; writes
 #              results/ecosystem.json and docs/ecosystem.md
-# make results tables and pictures under docs/results, from the cells in results/one-block and
-#              results/first-pass
+# make results tables and pictures under docs/results, from the cells in results/studies/one-block
 # make pages   the pages in a headless Chromium
 # make docs    the references under docs/reference/ and the list of all options, from the code
 # make wheel   build the wheel, install it into build/wheel and try it there
@@ -46,7 +45,7 @@ demo: .venv/ready
 	cd demo && ../$(BIN)/mpdt-train --data cheetah_dir.h5 --preset demo
 
 test: .venv/ready
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto
 
 check: .venv/ready
 	$(BIN)/ruff check .
@@ -66,27 +65,27 @@ build/peers/bench-ready: pyproject.toml constraints.txt
 
 bench: build/peers/bench-ready
 	@failed=; for name in $(BENCHES); do \
-	  $(PEERS)/bin/python -W ignore benchmarks/$$name.py $(BENCH) || failed="$$failed $$name"; \
-	done; $(PEERS)/bin/python benchmarks/performance_page.py; \
+	  $(PEERS)/bin/python -W ignore benchmarks/speed/$$name.py $(BENCH) || failed="$$failed $$name"; \
+	done; $(PEERS)/bin/python benchmarks/speed/performance_page.py; \
 	test -z "$$failed" || { echo "error: failed:$$failed" >&2; exit 1; }
 
 trust: .venv/ready
 	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[ray]'
 	@mkdir -p results/trust
-	$(BIN)/python benchmarks/torture.py --json results/trust/torture.json
-	$(BIN)/python benchmarks/fuzz.py --json results/trust/fuzz.json
-	$(BIN)/python benchmarks/clusters.py --json results/trust/clusters.json
-	$(BIN)/pytest -m slow tests/data/test_locked_rebuild.py
-	$(BIN)/python benchmarks/trust_page.py
+	$(BIN)/python benchmarks/trust/torture.py --json results/trust/torture.json
+	$(BIN)/python benchmarks/trust/fuzz.py --json results/trust/fuzz.json
+	$(BIN)/python benchmarks/trust/clusters.py --json results/trust/clusters.json
+	$(BIN)/pytest -m slow tests/data/lock/test_locked_rebuild.py
+	$(BIN)/python benchmarks/trust/trust_page.py
 
 ecosystem: .venv/ready
-	$(BIN)/python benchmarks/ecosystem.py
+	$(BIN)/python benchmarks/ecosystem/ecosystem.py
 
 docs: .venv/ready
-	$(BIN)/python docs/references.py
+	$(BIN)/python tools/write_reference.py
 
 wheel: .venv/ready
-	$(BIN)/python benchmarks/wheel.py
+	$(BIN)/python tools/wheel.py
 
 # Needs a Chromium: apt-get install chromium
 pages: .venv/ready
@@ -94,8 +93,7 @@ pages: .venv/ready
 	$(BIN)/pytest -m slow tests/test_pages.py
 
 results: .venv/ready
-	$(BIN)/mpdt-train report results/one-block -o docs/results
-	$(BIN)/mpdt-train report results/first-pass -o docs/results/four-blocks
+	$(BIN)/mpdt-train report results/studies/one-block -o docs/results
 
 clean:
 	rm -rf .venv demo

@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from mpdt.data.interface import collect as collect
     from mpdt.data.interface import open as open
     from mpdt.data.interface import windows as windows
-    from mpdt.train.acting import load_policy as load_policy
+    from mpdt.train.run.load import load_policy as load_policy
 
-__version__ = "0.1.0"
+from mpdt.version import __version__ as __version__
 
 _HOMES = {
     "open": "mpdt.data.interface",
     "collect": "mpdt.data.interface",
     "windows": "mpdt.data.interface",
-    "load_policy": "mpdt.train.acting",
+    "load_policy": "mpdt.train.run.load",
 }
 
 if "gymnasium" in sys.modules:

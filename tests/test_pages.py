@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from mpdt.train.page import run_content, write_result
+from mpdt.train.report.page import run_content, write_result
 
 ROOT = Path(__file__).parent.parent
-RUN = ROOT / "results" / "cheetah_vel-infer"
+RUN = ROOT / "results/runs/cheetah_vel-infer"
 MISSING = 3
 
 
 def look(*pages: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "benchmarks" / "pages.py"), *map(str, pages)]
+    command = [sys.executable, str(ROOT / "tools" / "pages.py"), *map(str, pages)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode == MISSING:
         pytest.skip(done.stderr.strip())
@@ -25,7 +25,7 @@ def look(*pages: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 def test_pages_are_whole_in_a_browser(tmp_path: Path) -> None:
-    from mpdt.train.show import read_results
+    from mpdt.train.run.show import read_results
 
     subprocess.run(
         [Path(sys.executable).with_name("mpdt-data"), "collect", "cheetah_dir", "--smoke", "-q"],
@@ -60,6 +60,6 @@ def test_the_look_sees_what_is_wrong(tmp_path: Path) -> None:
 
 def test_without_a_browser_it_says_what_is_missing(tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text("<p>hello")
-    command = [sys.executable, str(ROOT / "benchmarks" / "pages.py"), str(tmp_path / "page.html")]
+    command = [sys.executable, str(ROOT / "tools" / "pages.py"), str(tmp_path / "page.html")]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env={"PATH": ""})
     assert done.returncode == MISSING and "install" in done.stderr

@@ -10,12 +10,12 @@ from types import ModuleType
 import pytest
 
 ROOT = Path(__file__).parent.parent
-REFRESH = "python docs/references.py (or make docs) writes it anew; look at what changed"
+REFRESH = "python tools/write_reference.py (or make docs) writes it anew; look at what changed"
 
 
 @cache
 def references() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("references", ROOT / "docs/references.py")
+    spec = importlib.util.spec_from_file_location("references", ROOT / "tools/write_reference.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

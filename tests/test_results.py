@@ -4,14 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from mpdt.train.report import render_markdown
-from mpdt.train.studies import STUDIES
-from mpdt.train.study import config_hash, configure
-from mpdt.train.study_report import report_tables
-from mpdt.train.summary import cells_csv, read_cells
+from mpdt.train.evaluate.tables import render_markdown
+from mpdt.train.report.study_tables import report_tables
+from mpdt.train.study.plans import STUDIES
+from mpdt.train.study.study import config_hash, configure
+from mpdt.train.study.summary import cells_csv, read_cells
 
 ROOT = Path(__file__).parents[1]
-PAGES = {"one-block": ROOT / "docs/results", "first-pass": ROOT / "docs/results/four-blocks"}
+PAGES = {"one-block": ROOT / "docs/results"}
 
 
 @pytest.fixture(scope="module", params=PAGES)
@@ -21,7 +21,7 @@ def study(request):
 
 @pytest.fixture(scope="module")
 def cells(study):
-    return read_cells(ROOT / "results" / study)
+    return read_cells(ROOT / "results/studies" / study)
 
 
 def test_tables_are_fresh(cells, study):

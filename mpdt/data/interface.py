@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from mpdt.data import build
+from mpdt.data.collect import collect as build
 from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec, smoke

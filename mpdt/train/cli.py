@@ -30,7 +30,7 @@ import tyro
 
 from mpdt.errors import MpdtError
 from mpdt.pipe import reader_may_leave
-from mpdt.train.commands import (
+from mpdt.train.options import (
     COMMANDS,
     Adapt,
     Command,
@@ -42,9 +42,9 @@ from mpdt.train.commands import (
 )
 
 if TYPE_CHECKING:
-    from mpdt.train.config import TrainConfig
-    from mpdt.train.results import Block
-    from mpdt.train.state import StopRequest
+    from mpdt.train.evaluate.score import Block
+    from mpdt.train.fit.checkpoint import StopRequest
+    from mpdt.train.run.config import TrainConfig
 
 PROG = "mpdt-train"
 
@@ -101,8 +101,8 @@ def execute(command: Command, rest: list[str]) -> int:
 
         raise UsageError(f"unknown option '{rest[0]}'", where=PROG)
     if isinstance(command, Settings):
-        from mpdt.train.presets import get_preset
-        from mpdt.train.show import settings_text
+        from mpdt.train.run.presets import get_preset
+        from mpdt.train.run.show import settings_text
 
         sys.stdout.write(settings_text(get_preset(command.preset), command.json))
         return 0
@@ -110,9 +110,9 @@ def execute(command: Command, rest: list[str]) -> int:
 
 
 def _run(command: Run, rest: list[str]) -> int:
-    from mpdt.train.pipeline import run_pipeline
-    from mpdt.train.progress import Progress
-    from mpdt.train.show import print_results
+    from mpdt.train.run.pipeline import run_pipeline
+    from mpdt.train.run.progress import Progress
+    from mpdt.train.run.show import print_results
 
     config = parse_settings(command, rest)
     file = Path(command.data.partition(":")[0]).stem
@@ -133,10 +133,10 @@ def _run(command: Run, rest: list[str]) -> int:
 def _judge(command: Evaluate, rest: list[str]) -> int:
     import msgspec
 
-    from mpdt.train.folder import stored_settings
-    from mpdt.train.pipeline import run_pipeline
-    from mpdt.train.progress import Progress
-    from mpdt.train.show import print_results
+    from mpdt.train.run.folder import stored_settings
+    from mpdt.train.run.pipeline import run_pipeline
+    from mpdt.train.run.progress import Progress
+    from mpdt.train.run.show import print_results
 
     stored = stored_settings(command.folder)
     blocks: tuple[Block, ...] = ("test",) if isinstance(command, Adapt) else ("train", "test")
@@ -158,9 +158,9 @@ def _judge(command: Evaluate, rest: list[str]) -> int:
 
 
 def _study(command: Study) -> int:
-    from mpdt.train.progress import Progress
-    from mpdt.train.studies import get_study
-    from mpdt.train.study import Places, inspect_cell, run_study
+    from mpdt.train.run.progress import Progress
+    from mpdt.train.study.plans import get_study
+    from mpdt.train.study.study import Places, inspect_cell, run_study
 
     cells = [cell for cell in get_study(command.name) if command.only in cell.name]
     places = Places(
@@ -182,14 +182,14 @@ def _study(command: Study) -> int:
 
 
 def _report(command: Report) -> int:
-    from mpdt.train.show import print_results, read_results
-    from mpdt.train.study_report import print_study
-    from mpdt.train.summary import is_study, read_cells
+    from mpdt.train.report.study_tables import print_study
+    from mpdt.train.run.show import print_results, read_results
+    from mpdt.train.study.summary import is_study, read_cells
 
     if is_study(command.folder):
         print_study(command.folder, command.output, command.json)
         if command.html is not None:
-            from mpdt.train.page import study_content, write_result
+            from mpdt.train.report.page import study_content, write_result
 
             write_result(
                 command.html, study_content(read_cells(command.folder), command.folder.name)
@@ -199,11 +199,11 @@ def _report(command: Report) -> int:
     print_results(results, command.json)
     weights = command.folder / "weights.safetensors"
     if command.output is not None and weights.exists():
-        from mpdt.train.plots import plot_prompts
+        from mpdt.train.report.plots import plot_prompts
 
         plot_prompts(weights, command.output)
     if command.html is not None:
-        from mpdt.train.page import run_content, write_result
+        from mpdt.train.report.page import run_content, write_result
 
         write_result(command.html, run_content(results, command.folder))
     return 0
@@ -211,7 +211,7 @@ def _report(command: Report) -> int:
 
 def _until_stopped(body: Callable[[StopRequest], int]) -> int:
     """The body's exit code, or that of the signal that stopped it, with how to go on."""
-    from mpdt.train.state import Stopped, StopRequest
+    from mpdt.train.fit.checkpoint import Stopped, StopRequest
 
     try:
         with StopRequest().listening() as stop:
@@ -231,9 +231,9 @@ def parse_settings(command: Run, rest: Sequence[str]) -> TrainConfig:
     """
     import msgspec
 
-    from mpdt.train.config import TrainConfig
-    from mpdt.train.methods import apply_method
-    from mpdt.train.presets import get_preset
+    from mpdt.train.run.config import TrainConfig
+    from mpdt.train.run.methods import apply_method
+    from mpdt.train.run.presets import get_preset
 
     preset = get_preset(command.preset)
     if command.steps is not None:

@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-from mpdt.data.build import collect
+from mpdt.data.collect.collect import collect
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec
 

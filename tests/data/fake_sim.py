@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from mpdt.data import build, pack, runner
+from mpdt.data.collect import collect as build
+from mpdt.data.collect import pack, runner
 from mpdt.data.episode import PolicyInfo
 from mpdt.data.sim import ladder as sim_ladder
 from mpdt.data.sim.batch import StepResult

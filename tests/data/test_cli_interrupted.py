@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from mpdt.data.parts import PartsFolder
+from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.store.reader import open_dataset
 
 SCRIPT = Path(__file__).with_name("fake_sim.py")
@@ -107,7 +107,7 @@ def test_a_kill_during_the_pack_keeps_the_old_file(tiny_file: Path, workplace: P
 
 
 def test_progress_counts_only_what_this_run_did() -> None:
-    from mpdt.data.build import Progress
+    from mpdt.data.collect.collect import Progress
     from mpdt.data.verbs.progress import line_writer
 
     now = [100.0]

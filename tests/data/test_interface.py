@@ -31,7 +31,7 @@ def test_collect_is_the_command(
 def test_remarks_are_warnings(
     fakes: Callable[..., None], tiny_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mpdt.data.build.check_levels", lambda *_: ["medium is high"])
+    monkeypatch.setattr("mpdt.data.collect.collect.check_levels", lambda *_: ["medium is high"])
     with pytest.warns(UserWarning, match="medium is high"):
         mpdt.collect("tiny", "again.h5", workers=0)
 

@@ -9,9 +9,9 @@ import pytest
 from mpdt.errors import UsageError
 from mpdt.model.weights import load_weights
 from mpdt.train.cli import Run, main, parse_settings
-from mpdt.train.presets import get_preset
-from mpdt.train.progress import Progress
-from mpdt.train.show import settings_text
+from mpdt.train.run.presets import get_preset
+from mpdt.train.run.progress import Progress
+from mpdt.train.run.show import settings_text
 
 QUICK = ["--preset", "smoke", "--threads", "1", "--statistics.batches", "1",
          "--evaluation.horizon", "3", "--multitask.checkpoint-every", "6"]  # fmt: skip

@@ -13,15 +13,15 @@ import mpdt
 from mpdt.data.card import figures
 from mpdt.data.card.facts import QUALITIES, Facts, TaskFacts, commands
 from mpdt.data.card.film import Film
-from mpdt.data.card.page import render
+from mpdt.data.lock.file import LockEntry
+from mpdt.data.lock.fingerprint import is_as_locked
 from mpdt.data.reference import YARDSTICKS
-from mpdt.data.spec.lock import LockEntry
 from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.spec.yamltext import dump_yaml
 from mpdt.data.store.dataset import Dataset
-from mpdt.data.store.fingerprint import is_as_locked
 from mpdt.data.verify.finding import Finding, Outcome
 from mpdt.data.verify.verify import Report, summary
+from mpdt.draw.html import render
 
 ROBOTS = {
     "direction": "A planar cheetah is to run in one of two directions",
@@ -54,7 +54,7 @@ def card_page(
     findings = report.findings if report else []
     lengths = np.concatenate(list(facts.lengths.values()))
     return render(
-        "card.html",
+        "card.html", "mpdt.data.card",
         facts=facts,
         counts=[_count(len(facts.tasks), "task"), _count(len(facts.ids), "episode"),
                 _count(facts.num_steps, "step")],

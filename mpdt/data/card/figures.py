@@ -7,7 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mpdt.data.card.chart import (
+from mpdt.data.card.facts import Facts, TaskFacts
+from mpdt.data.spec.tasks import FAMILIES
+from mpdt.draw.chart import (
     Axis,
     Chart,
     Dot,
@@ -20,8 +22,6 @@ from mpdt.data.card.chart import (
     rule,
     steps,
 )
-from mpdt.data.card.facts import Facts, TaskFacts
-from mpdt.data.spec.tasks import FAMILIES
 
 BINS = 24
 ROWS = 25  # tasks in one overview chart

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from mpdt.data.card.film import Film
-from mpdt.data.replacement import disk, replacing
 from mpdt.data.store.dataset import Dataset
+from mpdt.disk import disk, replacing
 from mpdt.errors import UsageError
 
 MOST_FPS = 40  # a clip of a faster simulator leaves steps out

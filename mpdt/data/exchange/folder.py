@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from mpdt.data.replacement import disk, sync
+from mpdt.disk import disk, sync
 from mpdt.errors import DataError, MissingFileError, StorageError
 
 

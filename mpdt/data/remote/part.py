@@ -6,7 +6,7 @@ import fcntl
 from pathlib import Path
 from types import TracebackType
 
-from mpdt.data.replacement import disk, sync
+from mpdt.disk import disk, sync
 from mpdt.errors import BusyError
 
 

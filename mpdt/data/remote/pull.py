@@ -17,7 +17,7 @@ from mpdt.data.remote.part import Part
 from mpdt.data.remote.place import Place
 from mpdt.data.remote.proof import prove
 from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, loaded, sha256
-from mpdt.data.replacement import disk, sync
+from mpdt.disk import disk, sync
 from mpdt.errors import DataError, MissingFileError, RemoteError, UsageError
 
 Tell = Callable[[str, int, int | None], None]

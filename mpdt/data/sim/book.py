@@ -13,8 +13,8 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from mpdt.data.replacement import disk, replacing
 from mpdt.data.spec.entry import canonical_json
+from mpdt.disk import disk, replacing
 from mpdt.errors import DataError, StorageError
 
 Entry = TypeVar("Entry")

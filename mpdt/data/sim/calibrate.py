@@ -30,10 +30,10 @@ from mpdt.data.sim.calibration import (
     read_calibrations,
     save_calibrations,
 )
-from mpdt.data.sim.engines import map_blocks
 from mpdt.data.sim.policies import ScriptedPolicy
 from mpdt.data.sim.probe import Gauge, Probe
 from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.workers.processes import map_blocks
 from mpdt.errors import DataError, SpecError
 
 STEP = 0.1  # of the coarse curve

@@ -14,8 +14,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mpdt.data.replacement import check_replaceable
 from mpdt.data.sim.book import read_book, write_book
+from mpdt.disk import check_replaceable
 
 FORMAT = "mpdt-calibration/1"
 LOCAL_FILE = "metaworld.calibration.json"

@@ -20,7 +20,6 @@ from pathlib import Path
 
 import msgspec
 
-from mpdt.data.sim.engines import map_blocks
 from mpdt.data.sim.portions import ROWS, Player, Portion, expert_ladder, kind_of
 from mpdt.data.sim.references import (
     LOCAL_FILE,
@@ -37,6 +36,7 @@ from mpdt.data.sim.references import (
 )
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Task, get_family
+from mpdt.data.workers.processes import map_blocks
 
 FIRST = 20  # episodes before anything is decided
 CAP = 1280

@@ -20,9 +20,9 @@ from typing import Any
 
 from safetensors.numpy import load_file, save
 
-from mpdt.data.replacement import check_replaceable, disk, replacing
 from mpdt.data.sim.rungs import describe_rungs
 from mpdt.data.spec.tasks import Family, get_family
+from mpdt.disk import check_replaceable, disk, replacing
 from mpdt.errors import SimulatorError, UsageError, unknown_name
 
 Curve = list[dict[str, float]]

@@ -23,11 +23,11 @@ from pathlib import Path
 import msgspec
 
 from mpdt.data.reference import Reference, Source
-from mpdt.data.replacement import check_replaceable
 from mpdt.data.sim.book import read_book, write_book
 from mpdt.data.sim.ladder import Ladder
 from mpdt.data.spec.entry import DatasetSpec, canonical_json
 from mpdt.data.spec.tasks import Family, Task, get_family
+from mpdt.disk import check_replaceable
 
 FORMAT = "mpdt-references/1"
 LOCAL_FILE = "references.json"

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
-from mpdt.data.replacement import disk, replacing
 from mpdt.data.sim.locomotion import LocomotionBatch
 from mpdt.data.sim.network import Weights, network_actions
 from mpdt.data.sim.robots import network_inputs
 from mpdt.data.spec.tasks import Family
+from mpdt.disk import disk, replacing
 from mpdt.seeding import Quality, SeedKey, Stream
 
 CAREFUL = 8

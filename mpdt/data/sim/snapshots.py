@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import save
 from stable_baselines3.common.callbacks import BaseCallback
 
-from mpdt.data.replacement import disk, replacing
+from mpdt.disk import disk, replacing
 
 Curve = list[dict[str, float]]
 

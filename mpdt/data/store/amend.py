@@ -14,7 +14,6 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mpdt.data.replacement import disk, replacing, reserve
 from mpdt.data.store import columns, layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_header
@@ -25,6 +24,7 @@ from mpdt.data.store.sources import TtaSource
 from mpdt.data.store.tables import Int64, Slice
 from mpdt.data.store.ttaset import fill_tta
 from mpdt.data.store.writer import ALIGNED, closing, write_slice
+from mpdt.disk import disk, replacing, reserve
 
 
 def add_slice(

@@ -10,10 +10,10 @@ import h5py
 import numpy as np
 
 from mpdt.data.episode import Episode
-from mpdt.data.replacement import disk
 from mpdt.data.store import layout
 from mpdt.data.store.layout import Column
 from mpdt.data.store.tables import Goals, TaskRow
+from mpdt.disk import disk
 from mpdt.errors import DataError, ShapeError
 from mpdt.seeding import UNKNOWN_SEED_KEY
 

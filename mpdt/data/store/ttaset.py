@@ -10,13 +10,13 @@ import h5py
 import numpy as np
 
 from mpdt.data.episode import UNKNOWN_POLICY, Episode
-from mpdt.data.replacement import disk
 from mpdt.data.store import layout
 from mpdt.data.store.columns import GoalTable, StepTable, TaskIndex, write_table
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash, episode_digest
 from mpdt.data.store.sources import TtaSource
 from mpdt.data.store.tables import Bool, Float32
+from mpdt.disk import disk
 from mpdt.errors import DataError
 from mpdt.seeding import Quality
 

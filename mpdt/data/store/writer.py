@@ -18,7 +18,6 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mpdt.data.replacement import disk, replacing, reserve
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store import columns, layout, provenance
 from mpdt.data.store.dataset import Dataset
@@ -30,6 +29,7 @@ from mpdt.data.store.seal import seal
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import Additions, Slice, Stats, TaskRow
 from mpdt.data.store.ttaset import fill_tta
+from mpdt.disk import disk, replacing, reserve
 from mpdt.errors import DataError, FormatError
 
 __all__ = ["Additions", "EpisodeSource", "FileHeader", "Slice", "Stats", "TaskRow", "TtaSource",

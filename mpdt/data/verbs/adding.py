@@ -54,10 +54,10 @@ class Tta(Options):
     """Stop after the plan."""
 
     def run(self) -> None:
-        from mpdt.data.sim.engines import default_workers
+        from mpdt.data.collect.add_tta import add_set, plan_set, stored_rule
         from mpdt.data.store.reader import open_dataset
-        from mpdt.data.tta import add_set, plan_set, stored_rule
         from mpdt.data.verbs.progress import show_progress
+        from mpdt.data.workers.processes import default_workers
 
         dataset = open_dataset(self.file)
         rule, names = self.rule(stored_rule(dataset, self.name))

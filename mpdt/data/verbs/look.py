@@ -156,10 +156,10 @@ class Info(Options):
     """
 
     def run(self) -> None:
-        from mpdt.data.sim.engines import default_workers
         from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.store import provenance
         from mpdt.data.verbs.surroundings import other_packages, surroundings
+        from mpdt.data.workers.processes import default_workers
 
         catalog = load_catalog()
         found: dict[str, dict[str, str]] = {

@@ -11,9 +11,9 @@ from tyro.conf import Positional, arg
 from mpdt.data.verbs.options import Names, Options, split_names
 
 if TYPE_CHECKING:
-    from mpdt.data.engine import Engine
-    from mpdt.data.locking import LockKeeper
-    from mpdt.data.plan import Plan
+    from mpdt.data.collect.engine import Engine
+    from mpdt.data.collect.plan import Plan
+    from mpdt.data.lock.keeper import LockKeeper
     from mpdt.data.spec.entry import DatasetSpec
 
 Name = Annotated[Positional[str], arg(metavar="NAME")]
@@ -53,7 +53,7 @@ class Plans(Options):
 
         Raises: as `chosen_spec`; SpecError or UsageError for a behaviour that is not there.
         """
-        from mpdt.data.plan import make_plan
+        from mpdt.data.collect.plan import make_plan
         from mpdt.data.sim.ladder import load_ladder
         from mpdt.data.sim.references import find_records, local_notice
 
@@ -86,7 +86,7 @@ class Plans(Options):
         return self.output or Path(f"{spec.name}.h5")
 
     def num_workers(self) -> int:
-        from mpdt.data.sim.engines import default_workers
+        from mpdt.data.workers.processes import default_workers
 
         return default_workers() if self.workers is None else self.workers
 
@@ -149,7 +149,7 @@ class Collect(Plans):
         if self.dry_run:
             super().run()
             return
-        from mpdt.data.build import collect
+        from mpdt.data.collect.collect import collect
         from mpdt.data.verbs.describe import describe, level_table
         from mpdt.data.verbs.progress import show_progress
 
@@ -176,7 +176,7 @@ class Collect(Plans):
 
     def chosen_engine(self) -> Engine:
         """Raises: UsageError for options of the other engine."""
-        from mpdt.data.engine import Processes, RayCluster
+        from mpdt.data.collect.engine import Processes, RayCluster
         from mpdt.errors import UsageError
 
         if self.engine == "ray":
@@ -194,9 +194,9 @@ class Collect(Plans):
 
         A smoke version has an entry of its own, which is compared but not added unasked.
         """
-        from mpdt.data.locking import LockKeeper
+        from mpdt.data.lock.file import lock_path
+        from mpdt.data.lock.keeper import LockKeeper
         from mpdt.data.spec.catalog import load_catalog
-        from mpdt.data.spec.lock import lock_path
         from mpdt.errors import UsageError
 
         if self.tasks:
@@ -272,8 +272,8 @@ class Calibrate(Options):
 
     def run(self) -> None:
         from mpdt.data.sim.calibrate import calibrate
-        from mpdt.data.sim.engines import default_workers
         from mpdt.data.spec.catalog import load_catalog
+        from mpdt.data.workers.processes import default_workers
 
         path = calibrate(
             load_catalog(self.spec).get(self.name), self.output,

@@ -56,10 +56,10 @@ class Measure(Options):
     """Another datasets.yaml than ./datasets.yaml or the shipped one."""
 
     def run(self) -> None:
-        from mpdt.data.sim.engines import default_workers
         from mpdt.data.sim.measure import KINDS, measure
         from mpdt.data.sim.references import LOCAL_FILE
         from mpdt.data.spec.catalog import load_catalog
+        from mpdt.data.workers.processes import default_workers
         from mpdt.errors import unknown_name
 
         kinds = split_names(self.policies) or KINDS

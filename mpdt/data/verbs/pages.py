@@ -47,12 +47,12 @@ class Report(Options):
     def run(self) -> None:
         from mpdt.data.card.card import card_page
         from mpdt.data.card.facts import Facts
-        from mpdt.data.card.page import write_page
-        from mpdt.data.replacement import check_replaceable
+        from mpdt.data.lock.file import lock_path, read_lock
         from mpdt.data.spec.catalog import load_catalog
-        from mpdt.data.spec.lock import lock_path, read_lock
         from mpdt.data.store.reader import open_dataset, parse_ref
         from mpdt.data.verify.verify import verify
+        from mpdt.disk import check_replaceable
+        from mpdt.draw.html import write_page
 
         path, slice_name = parse_ref(self.file)
         data = open_dataset(path)
@@ -147,9 +147,9 @@ class View(Options):
     def _pictures(self) -> list[Path]:
         from mpdt.data.card.film import shoot
         from mpdt.data.card.picture import clip_frames, expect_package, write_mp4, write_png
-        from mpdt.data.replacement import check_replaceable
         from mpdt.data.spec.tasks import get_family
         from mpdt.data.store.reader import open_dataset
+        from mpdt.disk import check_replaceable
 
         data = open_dataset(self.file)
         for target, package in ((self.png, "matplotlib"), (self.mp4, "imageio_ffmpeg")):

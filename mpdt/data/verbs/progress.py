@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from mpdt.data.build import Progress
+    from mpdt.data.collect.collect import Progress
 
 LINE_EVERY_S = 10.0
 

@@ -80,10 +80,10 @@ class Pull(Options):
     """The datasets.yaml whose lock counts; default as in collect."""
 
     def run(self) -> None:
+        from mpdt.data.lock.file import lock_path
         from mpdt.data.remote.address import revealed
         from mpdt.data.remote.pull import pull
         from mpdt.data.spec.catalog import load_catalog
-        from mpdt.data.spec.lock import lock_path
 
         lock = lock_path(load_catalog(self.spec).path) if self.locked else None
         found = pull(

@@ -43,12 +43,12 @@ class Verify(Options):
     """The datasets.yaml whose lock counts; default as in collect."""
 
     def run(self) -> None:
-        from mpdt.data.replacement import disk, replacing
+        from mpdt.data.lock.file import lock_path
         from mpdt.data.spec.catalog import load_catalog
-        from mpdt.data.spec.lock import lock_path
         from mpdt.data.verify.finding import Outcome
         from mpdt.data.verify.markdown import markdown
         from mpdt.data.verify.verify import summary, verify
+        from mpdt.disk import disk, replacing
         from mpdt.errors import DataError
 
         report = verify(
@@ -102,9 +102,9 @@ class Lock(Options):
     """Another datasets.yaml than ./datasets.yaml or the shipped one."""
 
     def run(self) -> None:
-        from mpdt.data.lock_states import lock_states
+        from mpdt.data.lock.file import lock_path
+        from mpdt.data.lock.states import lock_states
         from mpdt.data.spec.catalog import load_catalog
-        from mpdt.data.spec.lock import lock_path
         from mpdt.errors import DataError
 
         catalog = load_catalog(self.spec)

@@ -6,12 +6,12 @@ import hashlib
 
 import numpy as np
 
-from mpdt.data.spec.claim import changed_keys
+from mpdt.data.lock.claim import changed_keys
+from mpdt.data.lock.file import LockEntry
+from mpdt.data.lock.fingerprint import is_as_locked, lost_runs
 from mpdt.data.spec.entry import canonical_json
-from mpdt.data.spec.lock import LockEntry
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.digests import Labels, array_digests
-from mpdt.data.store.fingerprint import is_as_locked, lost_runs
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.seal import seal_holds
 from mpdt.data.store.tables import TtaSet

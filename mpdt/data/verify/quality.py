@@ -11,8 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from mpdt.data.collect.levels import TaskLevels
 from mpdt.data.episode import QUALITY_CODES
-from mpdt.data.levels import TaskLevels
 from mpdt.data.reference import Reference, References
 from mpdt.data.verify.finding import Fault, Finding, fault, judge
 from mpdt.data.verify.material import Material

@@ -13,14 +13,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mpdt.data.episode import Episode
-from mpdt.data.locking import MACHINE
-from mpdt.data.replay import replay
-from mpdt.data.spec.lock import decisive_packages
+from mpdt.data.lock.file import decisive_packages
+from mpdt.data.lock.fingerprint import other_versions
+from mpdt.data.lock.keeper import MACHINE
 from mpdt.data.store import provenance
-from mpdt.data.store.fingerprint import other_versions
 from mpdt.data.store.ttaset import tta_episodes
 from mpdt.data.verify.finding import Fault, Finding, Outcome, fault, judge
 from mpdt.data.verify.material import Material
+from mpdt.data.verify.replay import replay
 from mpdt.errors import DataError, MpdtError, UsageError
 
 ID = "replay"

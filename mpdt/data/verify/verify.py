@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mpdt.data.spec.lock import LockEntry, read_lock
+from mpdt.data.lock.file import LockEntry, read_lock
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.verify.duplicates import DuplicatesCheck
 from mpdt.data.verify.file_format import open_unchecked

@@ -11,13 +11,13 @@ import pytest
 from mpdt.data.card.card import card_page
 from mpdt.data.card.facts import Facts
 from mpdt.data.card.film import HEIGHT, WIDTH, Film
-from mpdt.data.card.page import number, write_page
 from mpdt.data.episode import Episode, PolicyInfo
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
 from mpdt.data.verify.verify import CHECKS, verify
+from mpdt.draw.html import number, write_page
 
 EVIL = '</title></style><script>alert(1)</script><img src="http://x/y" onerror=alert(1)>{{ 7*7 }}'
 

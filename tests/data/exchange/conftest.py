@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mpdt.data.build import collect
 from mpdt.data.cli import main
+from mpdt.data.collect.collect import collect
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset

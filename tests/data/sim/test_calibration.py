@@ -33,5 +33,5 @@ def test_table_has_a_row_per_task_and_horizon():
 
 
 def test_the_page_shows_what_is_shipped(tmp_path):
-    """Otherwise: python benchmarks/calibration_table.py"""
+    """Otherwise: python tools/calibration_table.py"""
     assert PAGE.read_text().endswith(table(list(load_calibrations(tmp_path).values())))

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from mpdt.data.sim.collect import run_block
 from mpdt.data.sim.locomotion import STRETCH, LocomotionBatch
+from mpdt.data.sim.play import run_block
 from mpdt.data.sim.policies import OpenLoopPolicy, UniformPolicy, ZeroPolicy
 from mpdt.data.spec.tasks import get_family
 from mpdt.seeding import Quality, SeedKey

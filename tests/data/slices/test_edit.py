@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from mpdt.data.build import collect
+from mpdt.data.collect.collect import collect
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.slices.cut import Cut, cut_file
 from mpdt.data.slices.diff import diff

@@ -9,9 +9,9 @@ from typing import Any, NoReturn
 
 import pytest
 
-from mpdt.data import replay
 from mpdt.data.card import film, picture
 from mpdt.data.cli import main
+from mpdt.data.verify import replay
 from mpdt.errors import SimulatorError
 
 Capture = pytest.CaptureFixture[str]

@@ -12,12 +12,12 @@ import h5py
 import numpy as np
 import pytest
 
-from mpdt.data import replay
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.digests import Labels, array_digests
 from mpdt.data.store.reader import read_file
 from mpdt.data.store.seal import seal as write_seal
 from mpdt.data.store.tables import TtaSet
+from mpdt.data.verify import replay
 from mpdt.data.verify.material import read_material
 
 Change = Callable[[h5py.File], None]

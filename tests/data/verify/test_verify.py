@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from damages import Apply, both_flags, copy_episode, finding, flip, outcomes, pay, put, swap_tiers
 
-from mpdt.data.locking import LockKeeper
-from mpdt.data.spec.lock import lock_bytes, read_lock
+from mpdt.data.lock.file import lock_bytes, read_lock
+from mpdt.data.lock.keeper import LockKeeper
 from mpdt.data.store import provenance
 from mpdt.data.store.digest import episode_digest
 from mpdt.data.store.digests import Labels
@@ -213,7 +213,7 @@ def test_on_another_mujoco_replay_warns_with_figures(
 def test_files_without_seeds_or_simulator_only_warn(
     change: Apply, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from mpdt.data import replay
+    from mpdt.data.verify import replay
     from mpdt.errors import SimulatorError
 
     def refuse(*args: Any) -> None:

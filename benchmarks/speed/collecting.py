@@ -1,0 +1,179 @@
+"""Collecting locomotion data: the shipped policy, random actions and TTA sets.
+
+    python benchmarks/speed/collecting.py [--rounds 5] [--keep]
+
+ours    one worker process per core: whole blocks, simulated and written as parts (fsync included)
+limit   one process per core: open-loop `mujoco.rollout` of the same episodes from the same
+        states and actions: no policy, no observations, no rewards, nothing written
+peers   the same tasks as gymnasium environments, stepped with ready-made actions; no policy
+        acts there and nothing is computed but the step, which is kind to them
+"""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rounds
+
+PEER_STEPS = 1000
+CASES = [
+    # name, entry, kind of block, name of the block, targets
+    ("cheetah, expert", "cheetah_dir", "episodes", "expert", 0.85),
+    ("cheetah, random", "cheetah_dir", "episodes", "random", 0.95),
+    ("cheetah, TTA set", "cheetah_dir", "tta", "default", 0.95),
+    ("ant, expert", "ant_dir", "episodes", "expert", 0.85),
+    ("ant, random", "ant_dir", "episodes", "random", 0.95),
+    ("ant, TTA set", "ant_dir", "tta", "default", 0.95),
+]
+
+
+def block_of(entry: str, kind: str, name: str) -> tuple[Any, Any]:
+    """The plan of a shipped entry, and one of its blocks."""
+    from mpdt.data.collect.plan import make_plan
+    from mpdt.data.spec.catalog import load_catalog
+
+    plan = make_plan(load_catalog().get(entry))
+    return plan, plan.of_kind(kind, name)[0]
+
+
+def ways(number: int, entry: str, kind: str, name: str) -> dict[str, Callable[[], Any]]:
+    """Ours and the limit inside one worker."""
+    from mpdt.data.collect.parts import PartsFolder
+    from mpdt.data.collect.runner import BlockRunner
+
+    plan, block = block_of(entry, kind, name)
+    folder = PartsFolder(Path(tempfile.mkdtemp(prefix="mpdt-bench-")) / "x")
+    (folder.path / "blocks").mkdir(parents=True)
+    runner = BlockRunner(plan, folder)
+    episodes = runner.simulate(block)
+    steps = sum(episode.length for episode in episodes)
+
+    def ours() -> int:
+        runner(block)
+        return steps
+
+    def clean() -> None:
+        shutil.rmtree(folder.path.parent)
+
+    return {"ours": ours, "limit": native(plan, block, episodes), "clean": clean}
+
+
+def native(plan: Any, block: Any, episodes: list[Any]) -> Callable[[], int]:
+    """The same episodes open loop, each to its own end; the final states are compared.
+
+    Exactly the same start: a rounded one diverges, and a tumbling robot is slower to simulate.
+    """
+    import mujoco
+    from mujoco import rollout
+
+    from mpdt.data.sim.robots import FRAME_SKIP, ROBOTS
+    from mpdt.data.sim.simulators import make_batch
+
+    env = make_batch(plan.family, [block.task] * block.rows, plan.spec.env)
+    keys = block.keys(plan.family, plan.spec.seed)
+    env.reset(keys, env.draw_goals(keys))
+    start = env._state.copy()
+    model = ROBOTS[plan.family.robot].model()
+    data = mujoco.MjData(model)
+    controls = []
+    for episode in episodes:
+        clipped = np.clip(episode.actions, -1, 1) if block.kind == "tta" else episode.actions
+        controls.append(clipped.astype(np.float64).repeat(FRAME_SKIP, axis=0)[None])
+    last = slice(8, 17) if plan.family.robot == "cheetah" else slice(13, 27)
+
+    def run() -> int:
+        done = 0
+        for row, (control, episode) in enumerate(zip(controls, episodes, strict=True)):
+            states, _ = rollout.rollout(model, data, start[row : row + 1], control)
+            speeds = states[0, -1, -model.nv :].astype(np.float32)
+            assert np.array_equal(speeds, episode.observations[-1, last])
+            done += episode.length
+        return done
+
+    return run
+
+
+def peer_ways(entry: str, actions: np.ndarray) -> list[rounds.Way]:
+    """gymnasium alone, two of its environments in processes, and Minari's collector."""
+    import gymnasium
+
+    from mpdt.data.sim.locomotion_env import LocomotionEnv
+
+    task = block_of(entry, "episodes", "expert")[1].task.name
+    make = partial(LocomotionEnv, entry, task)
+
+    def stepper(env: Any) -> Callable[[], float]:
+        feed = itertools.cycle(actions)
+
+        def run() -> float:
+            env.reset(seed=0)
+            for _ in range(PEER_STEPS):
+                *_, terminated, truncated, _ = env.step(next(feed))
+                if terminated or truncated:
+                    env.reset()
+            return PEER_STEPS
+
+        return run
+
+    def collector() -> Callable[[], float]:
+        import minari
+
+        env = gymnasium.wrappers.TimeLimit(make(), 10_000)
+        env.unwrapped.spec = gymnasium.envs.registration.EnvSpec(
+            "Bench-v0", entry_point="mpdt.data.sim.gym:make",
+            kwargs={"family": entry, "task": task})  # fmt: skip
+        return stepper(minari.DataCollector(env))
+
+    def vector() -> Callable[[], float]:
+        size = rounds.cores()
+        env = gymnasium.vector.AsyncVectorEnv([make] * size)
+        feed = itertools.cycle(actions)
+
+        def run() -> float:
+            env.reset(seed=0)
+            for _ in range(PEER_STEPS // 4):
+                env.step(np.stack([next(feed)] * size))
+            return PEER_STEPS // 4 * size
+
+        return run
+
+    found = [rounds.Way("gymnasium, one env", "peer", stepper(make()), PEER_STEPS),
+             rounds.Way(f"AsyncVectorEnv, {rounds.cores()} envs", "peer", vector(),
+                        PEER_STEPS)]  # fmt: skip
+    if rounds.have("jax"):
+        with rounds.hushed():
+            found.append(rounds.Way("Minari DataCollector", "peer", collector(), PEER_STEPS))
+    return found
+
+
+def measure(report: rounds.Report) -> None:
+    for title, entry, kind, name, least in CASES:
+        with rounds.crew(partial(ways, entry=entry, kind=kind, name=name), rounds.cores()) as team:
+            ways_of = [
+                rounds.Way("mpdt", "ours", lambda: sum(team("ours")()), 0),
+                rounds.Way("mujoco.rollout, open loop", "limit", lambda: sum(team("limit")()), 0),
+            ]
+            targets = [rounds.Target("mujoco.rollout, open loop", least)]
+            if name == "expert":
+                size = block_of(entry, kind, name)[0].family.action_size
+                drawn = np.random.default_rng(0).uniform(-1, 1, (PEER_STEPS, size))
+                actions = drawn.astype(np.float32)
+                ways_of += peer_ways(entry, actions)
+                if entry == "cheetah_dir" and ways_of[-1].name == "Minari DataCollector":
+                    targets.append(rounds.Target("Minari DataCollector", 6.0))
+            few = (
+                min(3, report.rounds) if entry == "ant_dir" else 0
+            )  # its steps take 6 times longer
+            report.compare(title, "env steps/s", ways_of, targets, few)
+            team("clean")()
+
+
+if __name__ == "__main__":
+    rounds.main("collecting", measure, ("mpdt/data",))

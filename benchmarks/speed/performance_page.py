@@ -1,0 +1,132 @@
+"""Write docs/performance.md from the JSON files of results/bench/.
+
+    python benchmarks/speed/performance_page.py
+
+Numbers and verdicts come from the files; what is said about a miss stands in misses.py and is
+printed only where a target was missed.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from misses import FLOORS, MISSES
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "results" / "bench"
+PATHS = {
+    "collecting": "Collecting cheetah and ant",
+    "metaworld": "Collecting Meta-World",
+    "storing": "Packing, opening, verifying",
+    "sampling": "Drawing windows",
+    "training": "Training",
+    "acting": "Acting and adapting",
+    "pretraining": "Behaviour networks",
+    "remembering": "Memory",
+    "growing": "Growth",
+    "starting": "Start-up",
+}
+HEAD = """# How fast it is, beside what the hardware allows and what others do
+
+Written by `make bench` from `results/bench/`; do not edit. Each script runs alone as well
+(`python benchmarks/speed/NAME.py`), says in its first lines what is compared, and takes `--rounds`.
+
+Ways of doing the same work run in interleaved rounds; rates are medians, and "ours is" is the
+median over rounds of our rate divided by theirs, so a machine that is busy is busy for all.
+limit = what the hardware allows; peer = another package, as it comes from PyPI; plain = ours
+without what makes it fast.
+"""
+
+
+def number(value: float) -> str:
+    if value == 0 or 0.01 <= abs(value) < 1000:
+        return f"{value:.3g}"
+    return f"{value:,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.2e}"
+
+
+def table(heading: list[str], rows: list[list[str]]) -> str:
+    lines = [heading, ["---"] + ["---:"] * (len(heading) - 1), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def case_table(case: dict[str, Any]) -> str:
+    rows = [
+        [f"{row['kind']}: {row['name']}", number(row["rate"]), f"{row['ours_over_this']:.2f} x"]
+        for row in case["rows"]
+    ]
+    text = f"\n**{case['case']}** ({case['rounds']} rounds)\n\n"
+    text += table(["", case["unit"], "ours is"], rows)
+    return text + (f"\n{case['note'][0].upper()}{case['note'][1:]}.\n" if case["note"] else "")
+
+
+def verdicts(record: dict[str, Any]) -> list[list[str]]:
+    """What was wanted, what was found, and whether that is enough."""
+    found = [
+        [case["case"], f">= {target['least']:g} x {target['way']}", f"{target['measured']:.2f}",
+         "met" if target["met"] else "**missed**"]
+        for case in record["cases"] for target in case["targets"]
+    ]  # fmt: skip
+    for fact in record["facts"]:
+        if fact["met"] is not None:
+            least = fact["least"] is not None
+            bound = f"{'>=' if least else '<='} {fact['least' if least else 'most']:g}"
+            found.append([fact["fact"], f"{bound} {fact['unit']}", number(fact["value"]),
+                          "met" if fact["met"] else "**missed**"])  # fmt: skip
+    return found
+
+
+def section(path: str, title: str, record: dict[str, Any]) -> str:
+    text = f"\n## {title}\n\n`python benchmarks/speed/{SCRIPTS.get(path, path)}.py`\n"
+    for case in record["cases"]:
+        text += case_table(case)
+    if record["facts"]:
+        rows = [
+            [fact["fact"] + (f" ({fact['note']})" if fact["note"] else ""),
+             f"{number(fact['value'])} {fact['unit']}"]
+            for fact in record["facts"]
+        ]  # fmt: skip
+        text += "\n" + table(["", "measured"], rows)
+    missed = any("missed" in row[-1] for row in verdicts(record))
+    if missed and path in MISSES:
+        text += f"\n**What stands in the way.** {MISSES[path]}\n"
+    if path in FLOORS:
+        text += f"\n**What the next factor of two would need.** {FLOORS[path]}\n"
+    return text
+
+
+SCRIPTS = {"metaworld": "metaworld_steps"}
+
+
+def main() -> None:
+    records = {path: json.loads(file.read_text())
+               for path in PATHS if (file := RESULTS / f"{path}.json").exists()}  # fmt: skip
+    text = HEAD
+    machines = {json.dumps(record["machine"] | {"load": 0}, sort_keys=True)
+                for record in records.values()}  # fmt: skip
+    for one in sorted(machines):
+        m = json.loads(one)
+        text += (f"\nMachine: {m['cpu']}, {m['cores']} hardware threads, {m['memory_gib']} GiB, "
+                 f"{m['system']}.")  # fmt: skip
+    loads = [record["machine"]["load"] for record in records.values()]
+    minutes = sum(record["seconds"] for record in records.values()) / 60
+    text += (f" Load before the scripts' ends {min(loads):.1f} to {max(loads):.1f}; all of them "
+             f"together {minutes:.0f} minutes.\n")  # fmt: skip
+    versions: dict[str, str] = {}
+    for record in records.values():
+        versions |= record["versions"]
+    text += "\nVersions: " + ", ".join(f"{k} {v}" for k, v in sorted(versions.items())) + ".\n"
+    rows = [row for record in records.values() for row in verdicts(record)]
+    met = sum("missed" not in row[-1] for row in rows)
+    text += f"\n## Targets: {met} of {len(rows)} met\n\n"
+    text += table(["what", "target", "measured", ""], rows)
+    for path, title in PATHS.items():
+        if path in records:
+            text += section(path, title, records[path])
+    (ROOT / "docs" / "performance.md").write_text(text)
+    print(f"written  docs/performance.md   {met} of {len(rows)} targets met")
+
+
+if __name__ == "__main__":
+    main()

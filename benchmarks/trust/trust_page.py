@@ -1,0 +1,109 @@
+"""Write docs/trust.md from what torture.py, fuzz.py and clusters.py found.
+
+python benchmarks/trust/trust_page.py [--results results/trust]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+HEAD = """# What was done to the data, and what it withstood
+
+Written by `make trust` from `results/trust/`; do not edit. Small versions of all of it run in
+`make test`.
+
+## What is promised
+
+- The same entry gives the same content hash with any number of workers, processes or Ray tasks,
+  after any kill: same package versions, same CPU type and BLAS kernels, same shipped weights.
+- Everything a file says is covered: episodes by a digest each, the rest by the seal.
+  `mpdt-data verify FILE` recomputes both.
+- Reading data runs no code: HDF5, safetensors and JSON; foreign pickles go through a reader that
+  builds plain values and arrays and refuses everything else. `np.load(allow_pickle=True)` and
+  `torch.load` appear nowhere (a test looks).
+
+## What cannot be promised
+
+- Another MuJoCo version gives other trajectories; another CPU type or BLAS kernel may give network
+  policies another last bit, which contacts amplify (decision 0008 has the kernels that agree).
+  Random and TTA episodes, and Meta-World's scripts, use no matrix product of ours.
+- libhdf5 itself can crash or hang on damaged metadata. Such a file is never read as good data, but
+  the process that opens it may need to be stopped.
+- A program that changes a file and writes digests, hashes and seal anew is found only by
+  `datasets.lock`.
+"""
+
+
+def table(heading: list[str], rows: list[list[Any]]) -> str:
+    lines = [heading, ["---"] + ["---:"] * (len(heading) - 1), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
+
+
+def torture(found: dict[str, Any]) -> str:
+    where = {k.removeprefix("in "): v for k, v in found.items() if k.startswith("in ")}
+    signals = {k: v for k, v in found.items() if k.startswith("SIG")}
+    compared = found["finished files compared"]
+    cells = [[name, count] for name, count in (where | signals).items()]
+    return (
+        f"\n## {found['kills']} kills\n\n"
+        f"`python benchmarks/trust/torture.py`: {found['kills']} kills in "
+        f"{found['seconds'] / 60:.0f} min, a third of them aimed at the pack. "
+        "After each the target was absent or whole; "
+        f"{compared} finished files had the content hash of the undisturbed run; no worker "
+        "outlived its collector.\n\n" + table(["killed in / by", "times"], cells)
+    )
+
+
+def fuzz(found: dict[str, Any]) -> str:
+    rows = []
+    for what, counts in found.items():
+        if what != "seed":
+            groups = {"found": 0, "unchanged": 0, "accepted": 0, "crash or hang": 0, "missed": 0}
+            for outcome, count in counts.items():
+                name = outcome.split()[0]
+                key = {"crash": "crash or hang", "hang": "crash or hang"}.get(name, name)
+                groups[key if key in groups else "missed"] += count
+            rows.append([what, sum(counts.values()), *groups.values()])
+    return (
+        "\n## Damage\n\n`python benchmarks/trust/fuzz.py`. found = a FAIL of `verify` or one clear "
+        "error; unchanged = padding, nothing that can be read differs; accepted = a text that "
+        "now says something else and may (an entry is what its author writes; its hash changes "
+        "with it); crash or hang = inside libhdf5; missed = read as good although it differs, or a "
+        "traceback.\n\n"
+        + table(
+            ["damage", "files", "found", "unchanged", "accepted", "crash or hang", "missed"], rows
+        )
+    )
+
+
+def clusters(found: dict[str, Any]) -> str:
+    rows = [
+        [name, f"`{one['content'][:12]}`", one.get("killed_after_blocks", "-"), one["seconds"]]
+        for name, one in found.items()
+    ]
+    return (
+        "\n## A cluster that loses a node\n\n`python benchmarks/trust/clusters.py`: two Ray nodes "
+        "on one machine, the second one killed while blocks were running on it.\n\n"
+        + table(["engine", "content", "node killed after blocks", "seconds"], rows)
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--results", type=Path, default=ROOT / "results" / "trust")
+    folder = parser.parse_args().results
+    sections = {"torture": torture, "fuzz": fuzz, "clusters": clusters}
+    text = HEAD
+    for name, section in sections.items():
+        path = folder / f"{name}.json"
+        text += section(json.loads(path.read_text())) + "\n" if path.exists() else ""
+    (ROOT / "docs" / "trust.md").write_text(text)
+    print("written  docs/trust.md")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""How many training tasks should share an unseen task? Asked of training tasks alone.
+
+    python experiments/held_out_tasks.py RUN --data FILE [--tasks 1 2 3] [--episodes 1] [--json F]
+
+Every training task in turn is explained by the others (decision 0010), from its random episodes
+with rewards, and acts with their prompt: the nearest task's, or the mixture of the two nearest.
+Test tasks are not touched, so `adapt.infer.tasks` may be chosen by this table. `own` is the task's
+own prompt: what knowing the task exactly would earn. Episodes have a seed of their own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from trained import SEED, open_run
+
+from mpdt.errors import MpdtError
+from mpdt.train.adapt.candidates import UnseenTasks
+from mpdt.train.adapt.infer import explain, fit_reward_model, read_training_tasks
+from mpdt.train.evaluate.aggregate import mean, stratified_interval
+from mpdt.train.evaluate.rollout import SimulatorCache, evaluate
+from mpdt.train.phases import phase_seed
+
+
+def returns_of(
+    run: Path, data: str, most: list[int], episodes: int
+) -> tuple[list[str], dict[str, NDArray[np.float64]]]:
+    """Names of the training tasks (N); per way of acting, mean returns (N)."""
+    trainer, trained = open_run(run, data)
+    material, settings = trainer.material, trainer.config.evaluation
+    known = read_training_tasks(material)
+    infer, progress = trainer.config.adapt.infer, trainer.progress
+    model = fit_reward_model(
+        known, infer, phase_seed(trainer.config.seed, "adapt"),
+        lambda done, _: progress.update("reward model", done, infer.steps),
+    )  # fmt: skip
+    with torch.no_grad():
+        parts, cross = trained.prompts.task_parts(), trained.prompts.cross
+    ways = {"own": torch.eye(len(known))}
+    for tasks in most:
+        rows = [explain(model, x, tasks, banned=[k]).weights for k, x in enumerate(known)]
+        ways[f"{tasks} others"] = torch.from_numpy(np.stack(rows)).float()
+    unseen, cache, found = UnseenTasks(trainer, trained), SimulatorCache(), {}
+    for name, weights in ways.items():
+        prompts = cross * torch.einsum("nk,kls->nls", weights, parts)
+        judged = evaluate(
+            unseen.controller(prompts, trained.returns), material.family,
+            material.tasks(material.train_rows), material.options,
+            settings.horizon or material.horizon, episodes, SEED, settings.max_rows,
+            partial(progress.update, name), cache.make,
+        )  # fmt: skip
+        found[name] = judged.returns.mean(axis=1)
+    return list(judged.tasks), found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--data", required=True)
+    parser.add_argument("--tasks", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--episodes", type=int, default=1)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    try:
+        tasks, found = returns_of(args.run, args.data, args.tasks, args.episodes)
+    except MpdtError as error:
+        sys.exit(error.render())
+    print("| prompt of | mean return | 95 % interval over tasks | worst |\n|---|---|---|---|")
+    for name, returns in found.items():
+        # Tasks stand for the runs of one table column: they are what is resampled.
+        low, high = stratified_interval(returns[:, None], mean)
+        worst = int(returns.argmin())
+        print(f"| {name} | {returns.mean():.1f} | [{low:.1f}, {high:.1f}] "
+              f"| {tasks[worst]} {returns[worst]:.1f} |")  # fmt: skip
+    if args.json:
+        content = {
+            "run": args.run.name,
+            "tasks": tasks,
+            "episodes": args.episodes,
+            "seed": SEED,
+            "returns": {name: own.round(2).tolist() for name, own in found.items()},
+        }
+        args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,151 @@
+"""Add a set for test-time adaptation to a finished file.
+
+    file -> its spec with one more rule -> plan -> missing blocks on workers -> changed copy
+
+The blocks are those of a collection, so a set added later is the set collected at once. An
+interrupted addition goes on from the folder `FILE.tta-NAME.parts`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from mpdt.data.collect.collect import OnProgress, check_space, describe_plan, run_missing
+from mpdt.data.collect.engine import DECISIVE_PACKAGES, Processes
+from mpdt.data.collect.pack import tta_source
+from mpdt.data.collect.parts import PartsFolder
+from mpdt.data.collect.plan import Block, Plan, make_plan
+from mpdt.data.episode import Episode
+from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts, TtaRule
+from mpdt.data.store import provenance
+from mpdt.data.store.amend import add_tta
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.reader import open_dataset
+from mpdt.errors import DataError, UsageError
+
+
+@dataclass(frozen=True)
+class Added:
+    """Result of `add_set`: the open file, and what to know about the set."""
+
+    dataset: Dataset
+    warnings: list[str] = field(default_factory=list)
+
+
+def stored_rule(dataset: Dataset, name: str) -> TtaRule:
+    """The rule of that name in the file's spec; the defaults where it has none.
+
+    Raises: DataError for a file without a spec.
+    """
+    return _spec(dataset).tta.get(name) or TtaRule(episodes=20)
+
+
+def plan_set(dataset: Dataset, name: str, rule: TtaRule, tasks: Sequence[str] = ()) -> Plan:
+    """The blocks of one set for `dataset`, as a collection would have planned them.
+
+    Args:
+        tasks: names of the only tasks to get one; empty = those that `rule.tasks` says.
+    Raises: DataError for a file without a spec; SpecError for a rule that cannot be; UsageError
+        for an unknown task, or where no task is left.
+    """
+    chosen = {dataset.task_row(task) for task in tasks} or set(range(len(dataset.tasks)))
+    indices = {dataset.tasks.indices[row] for row in chosen}
+    # Nothing but the set: neither stored episodes nor references.
+    spec = msgspec.structs.replace(_spec(dataset), tta={name: rule}, episodes=EpisodeCounts())
+    plan = make_plan(spec)
+    blocks = tuple(b for b in plan.of_kind("tta", name) if b.task.index in indices)
+    if not blocks:
+        raise UsageError(f"no {rule.tasks} task in this file", where=str(dataset.path),
+                         hint="--tasks all, or name some")  # fmt: skip
+    return replace(plan, blocks=blocks)
+
+
+def add_set(
+    path: Path,
+    name: str,
+    rule: TtaRule,
+    tasks: Sequence[str] = (),
+    *,
+    workers: int | None = None,
+    overwrite: bool = False,
+    restart: bool = False,
+    on_progress: OnProgress | None = None,
+) -> Added:
+    """Simulate a TTA set and put it into the file at `path`; its episodes stay what they are.
+
+    Args:
+        workers: processes; None = one per core, 0 = in this process.
+        overwrite: a set of that name may be another one and is replaced.
+        restart: delete what an interrupted addition left.
+    Raises: as `plan_set`; UsageError if another set has that name; BusyError; StorageError;
+        SimulatorError. The file is untouched by any of them.
+    """
+    dataset = open_dataset(path)
+    plan = plan_set(dataset, name, rule, tasks)
+    source = tta_source(plan, name, (), plan.num_tta_episodes, 0)
+    if name in dataset.tta and not overwrite:
+        _check_same(dataset, name, plan, source.rule, source.preset_returns)
+    folder = PartsFolder(path.with_name(f"{path.name}.tta-{name}"))
+    check_space(plan, folder.target)
+    with folder.locked():
+        if restart:
+            folder.clear()
+        folder.agree(describe_plan(plan))
+        reports, _ = run_missing(plan, folder, Processes(workers), on_progress or (lambda _: None))
+        steps = sum(report.steps for report in reports)
+        episodes = _episodes(folder, plan.blocks)
+        source = replace(source, episodes=episodes, num_steps=steps)
+        done = add_tta(path, name, source)
+        folder.delete()
+    return Added(done, _version_warnings(dataset))
+
+
+def _spec(dataset: Dataset) -> DatasetSpec:
+    try:
+        return msgspec.convert(dict(dataset.spec), DatasetSpec)
+    except msgspec.ValidationError as error:
+        raise DataError("the file does not say how it was made", where=str(dataset.path),
+                        found=str(error),
+                        hint="only files of `mpdt-data collect` can get more",
+                        ) from error  # fmt: skip
+
+
+def _episodes(folder: PartsFolder, blocks: Sequence[Block]) -> Iterator[Episode]:
+    for block in blocks:
+        yield from folder.part(block).load_episodes()
+
+
+def _check_same(
+    dataset: Dataset, name: str, plan: Plan, rule: Mapping[str, Any], presets: Mapping[int, float]
+) -> None:
+    """Raises: UsageError unless the set that is there is the one that is planned."""
+    found, wanted, there = dataset.tta[name], Counter[int](), Counter[int]()
+    for block in plan.blocks:
+        wanted[block.task.index] += block.rows
+    old: dict[int, float] = {}
+    for row, preset in zip(found.task.tolist(), found.preset_return.tolist(), strict=True):
+        task = dataset.tasks.indices[row]
+        there[task] += 1
+        old[task] = preset
+    new = {task: float(np.float32(preset)) for task, preset in presets.items()}
+    if (dict(found.rule), there, old) != (dict(rule), wanted, new):
+        raise UsageError(f"the file has another set '{name}'", where=str(dataset.path),
+                         found=f"{len(found)} episodes, {dict(found.rule)}",
+                         hint="choose another --name, or replace it with --overwrite")  # fmt: skip
+
+
+def _version_warnings(dataset: Dataset) -> list[str]:
+    """The file says once which packages made it."""
+    here = provenance.packages()
+    return [
+        f"made with {name} {here[name]}, the file's episodes with {dataset.packages[name]}"
+        for name in DECISIVE_PACKAGES
+        if name in here and dataset.packages.get(name, here[name]) != here[name]
+    ]

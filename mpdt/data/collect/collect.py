@@ -1,0 +1,251 @@
+"""Build: where sim meets store. From a spec to a finished file, resumable at every block.
+
+spec -> plan -> lock -> missing blocks on workers -> levels -> pack -> parts deleted
+          |                     |                      |
+          '- nothing to do?     '- parts survive any   '- qualities out of order, a
+             file is complete      kill                   false version, other content than
+                                                          locked: nothing is written
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from mpdt.data.collect.engine import Engine, Processes, decisive_versions
+from mpdt.data.collect.levels import check_levels, measure_levels
+from mpdt.data.collect.pack import pack
+from mpdt.data.collect.parts import PartsFolder
+from mpdt.data.collect.plan import Block, Plan, make_plan
+from mpdt.data.collect.runner import BlockReport, BlockRunner, Gap, report_part
+from mpdt.data.episode import PolicyInfo
+from mpdt.data.lock.claim import changed_keys
+from mpdt.data.lock.keeper import LockKeeper, plain_spec
+from mpdt.data.sim.ladder import load_ladder
+from mpdt.data.sim.references import find_records
+from mpdt.data.spec.entry import DatasetSpec, canonical_json
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.reader import open_dataset
+from mpdt.errors import BusyError, DataError, FormatError, StorageError
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a collection stands. `steps` are env steps, counted at the full horizon."""
+
+    num_blocks: int
+    num_steps: int
+    done_blocks: int
+    done_steps: int
+    resumed_blocks: int  # done by an earlier run
+    resumed_steps: int
+    damaged_blocks: int  # parts of an earlier run that are done again
+    outdated_blocks: int  # whole ones, but of other mixing rates or weights; done again too
+    last: Block | None  # the block that just finished
+
+
+OnProgress = Callable[[Progress], None]
+
+
+@dataclass(frozen=True)
+class Collected:
+    """Result of `collect`: the open file, and what was done for it.
+
+    `lock` is one line on what the lock file holds of it now, or nothing.
+    """
+
+    dataset: Dataset
+    is_new: bool
+    resumed_blocks: int = 0
+    warnings: list[str] = field(default_factory=list)
+    lock: str = ""
+
+
+def collect(
+    spec: DatasetSpec,
+    target: Path,
+    *,
+    workers: int | None = None,
+    engine: Engine | None = None,
+    restart: bool = False,
+    lock: LockKeeper | None = None,
+    on_progress: OnProgress | None = None,
+) -> Collected:
+    """Make the file of `spec` at `target`, or go on with an interrupted collection.
+
+    The content depends on the spec, the package versions, the CPU type and the behaviour
+    weights only: not on the engine, interruptions or order.
+
+    Args:
+        workers: processes; None = one per core, 0 = in this process.
+        engine: somebody else who does the blocks, such as a Ray cluster.
+        restart: ignore and delete what an earlier run left, and replace a finished file.
+        lock: the lock file to compare with and to write to; None = there is none.
+        on_progress: called once at the start and after every block.
+
+    Raises: DataError if the file or its unfinished parts belong to another spec, if the
+        qualities are not in order, or if the lock holds something else; BusyError if another
+        collector holds the target; StorageError; SpecError; SimulatorError. Finished blocks
+        are kept in every case.
+    """
+    engine = engine or Processes(workers)
+    if lock is None:
+        return _collect(spec, target, engine, restart, None, on_progress)
+    lock.before(spec)
+    done = _collect(spec, target, engine, restart, lock.approve, on_progress)
+    if not done.is_new:
+        lock.approve(done.dataset)
+    note, warnings = lock.after(done.dataset)
+    return replace(done, lock=note, warnings=[*done.warnings, *warnings])
+
+
+def _collect(
+    spec: DatasetSpec,
+    target: Path,
+    engine: Engine,
+    restart: bool,
+    approve: Callable[[Dataset], None] | None,
+    on_progress: OnProgress | None,
+) -> Collected:
+    ladder, folder = load_ladder(spec), PartsFolder(target)
+    plan = make_plan(spec, find_records(spec, ladder))
+    policies = ladder.policies(plan.tasks)
+    if not restart and (finished := find_finished(plan, target, policies)):
+        with suppress(BusyError, StorageError):
+            folder.discard()  # of a collector that was killed just before it would have
+        return Collected(finished, is_new=False)
+    check_space(plan, target)
+    with folder.locked():
+        if restart:
+            folder.clear()
+        elif finished := find_finished(plan, target, policies):  # by another collector, meanwhile
+            folder.delete()
+            return Collected(finished, is_new=False)
+        folder.agree(describe_plan(plan))
+        reports, resumed = run_missing(plan, folder, engine, on_progress or (lambda _: None))
+        levels = measure_levels(plan, reports)
+        warnings = check_levels(plan, levels, str(folder.path))
+        dataset = pack(plan, folder, reports, policies, levels, approve)
+        folder.delete()
+    return Collected(dataset, True, resumed, warnings)
+
+
+def find_finished(plan: Plan, target: Path, policies: Sequence[PolicyInfo]) -> Dataset | None:
+    """The finished file at `target` if this very spec and these policies made it, else None.
+
+    Raises: DataError if something else is there, naming the keys of the spec that differ.
+    """
+    if not target.exists():
+        return None
+    try:
+        dataset = open_dataset(target)
+    except FormatError as error:
+        raise DataError(
+            f"the target exists, but {error.what}",
+            where=str(target),
+            hint="--restart replaces it, -o chooses another file",
+        ) from error
+    if dataset.parent:
+        raise DataError(
+            "the target exists and was cut out of another file",
+            where=str(target),
+            hint="choose another file with -o; --restart replaces it",
+        )
+    if not (changed := changed_keys(dict(dataset.spec), plain_spec(plan.spec))):
+        if {policy.hash for policy in policies} == {p.hash for p in dataset.policy_infos()}:
+            return dataset
+        raise DataError(
+            "the target was made with other behaviour weights or mixing rates",
+            where=str(target),
+            hint="--restart makes it again with those installed; -o writes another file",
+        )
+    raise DataError(
+        "the target was made from another spec: " + "; ".join(changed),
+        where=str(target),
+        hint="--restart makes it again from the new spec; -o writes another file",
+    )
+
+
+def describe_plan(plan: Plan) -> dict[str, Any]:
+    """Content of plan.json: what decides the bytes of the parts, but for who acts in them."""
+    # Neither decides a byte of a part, and a version that claimed too much can be raised.
+    spec = {k: v for k, v in plain_spec(plan.spec).items() if k not in ("version", "license")}
+    return {
+        "spec": spec,
+        "spec_hash": hashlib.sha256(canonical_json(spec)).hexdigest(),
+        "versions": decisive_versions(),
+        # Which references are on record may change between two runs, and changes no part.
+        "blocks": [block.label for block in plan.blocks if block.kind != "reference"],
+    }
+
+
+def check_space(plan: Plan, target: Path) -> None:
+    """Refuse to start what cannot end: parts and file together must fit on the disk.
+
+    Raises: StorageError.
+    """
+    if not target.parent.is_dir():
+        raise StorageError(
+            "the folder does not exist",
+            where=str(target.parent),
+            hint=f"mkdir -p {target.parent}",
+        )
+    needed, free = 2 * plan.file_bytes, shutil.disk_usage(target.parent).free
+    parts = PartsFolder(target).path / "blocks"
+    if parts.is_dir():
+        needed -= sum(part.stat().st_size for part in parts.glob("*.npz"))
+    if free < needed:
+        raise StorageError(
+            "not enough room on the disk for the parts and the file",
+            where=str(target),
+            expected=f"{needed / 1e6:,.0f} MB free",
+            found=f"{free / 1e6:,.0f} MB",
+            hint="free some space, or choose another place with -o",
+        )
+
+
+def run_missing(
+    plan: Plan, folder: PartsFolder, engine: Engine, on_progress: OnProgress
+) -> tuple[list[BlockReport], int]:
+    """Reports of all blocks, and how many of them an earlier run had finished."""
+    reports: list[BlockReport] = []
+    missing: list[Block] = []
+    gaps: Counter[Gap] = Counter()
+    known = BlockRunner(plan, folder)  # its ladder says who should have acted
+    for block in plan.blocks:
+        found = report_part(folder, block, known.actor(block))
+        if isinstance(found, BlockReport):
+            reports.append(found)
+        else:
+            gaps[found] += 1
+            missing.append(block)
+    resumed, resumed_steps = len(reports), sum(report.block.steps for report in reports)
+
+    def tell(last: Block | None) -> None:
+        on_progress(
+            Progress(
+                num_blocks=len(plan.blocks),
+                num_steps=plan.num_steps,
+                done_blocks=len(reports),
+                done_steps=sum(report.block.steps for report in reports),
+                resumed_blocks=resumed,
+                resumed_steps=resumed_steps,
+                damaged_blocks=gaps[Gap.DAMAGED],
+                outdated_blocks=gaps[Gap.OUTDATED],
+                last=last,
+            )
+        )
+
+    tell(None)
+    # Closed at once on an interrupt: no worker writes a part after its lock is gone.
+    with closing(engine.reports(plan, folder, missing)) as results:
+        for report in results:
+            reports.append(report)
+            tell(report.block)
+    return reports, resumed

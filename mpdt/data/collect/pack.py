@@ -1,0 +1,123 @@
+"""Pack: parts -> one file, in canonical order, with slices, statistics and references.
+
+Blocks are opened one after another, so memory does not grow with the file. The old file at
+the target stays until the new one has been read back and compared with the parts' digests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from mpdt.data.collect.levels import TaskLevels
+from mpdt.data.collect.parts import PartsFolder
+from mpdt.data.collect.plan import Block, Plan
+from mpdt.data.collect.runner import BlockReport
+from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.slices.standard import standard_slices
+from mpdt.data.slices.stats import compute_stats
+from mpdt.data.spec.tasks import Task
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
+from mpdt.data.store.tables import Additions, TaskRow
+from mpdt.data.store.writer import write_file
+
+
+def pack(
+    plan: Plan,
+    folder: PartsFolder,
+    reports: Sequence[BlockReport],
+    policies: Sequence[PolicyInfo],
+    levels: Mapping[str, TaskLevels],
+    approve: Callable[[Dataset], None] | None = None,
+) -> Dataset:
+    """Write the target of `folder` from the parts of all blocks of `plan`.
+
+    Args:
+        reports: one per block, in any order.
+        policies: every policy an episode may name.
+        levels: their references go into the task table.
+        approve: looks at all episodes before the file takes its place; may raise.
+
+    Raises: StorageError where the disk refuses, DataError for a part that was damaged
+        meanwhile; the target is untouched in both cases.
+    """
+    steps = {report.block: report.steps for report in reports}
+
+    def counts(blocks: Sequence[Block]) -> tuple[int, int]:
+        return sum(block.rows for block in blocks), sum(steps[block] for block in blocks)
+
+    def episodes(blocks: Sequence[Block]) -> Iterator[Episode]:
+        for block in blocks:
+            yield from folder.part(block).load_episodes()
+
+    stored = plan.of_kind("episodes")
+    tta: dict[str, TtaSource] = {}
+    for name in sorted(plan.spec.tta):
+        if blocks := plan.of_kind("tta", name):
+            tta[name] = tta_source(plan, name, episodes(blocks), *counts(blocks))
+    source = EpisodeSource(episodes(stored), *counts(stored))
+    references = {task: level.references for task, level in levels.items()}
+
+    def finish(dataset: Dataset) -> Additions:
+        if approve is not None:
+            approve(dataset)
+        return Additions(
+            slices=standard_slices(dataset), stats=compute_stats(dataset), references=references
+        )
+
+    return write_file(folder.target, _header(plan, policies), source, tta, finish)
+
+
+def tta_source(
+    plan: Plan, name: str, episodes: Iterable[Episode], num_episodes: int, num_steps: int
+) -> TtaSource:
+    """One set as the writer takes it: its episodes, and what the spec says of them."""
+    return TtaSource(
+        episodes, num_episodes, num_steps, _preset_returns(plan, name), _rule(plan, name)
+    )
+
+
+def _header(plan: Plan, policies: Sequence[PolicyInfo]) -> FileHeader:
+    spec, family = plan.spec, plan.family
+    return FileHeader(
+        family=family.name,
+        name=spec.name,
+        version=spec.version,
+        license=spec.license,
+        spec=msgspec.to_builtins(spec),
+        observation_size=family.observation_size,
+        action_size=family.action_size,
+        has_success=family.has_success,
+        tasks=[
+            TaskRow(task.name, task.index, task.role, _describe_env(plan, task))
+            for task in plan.tasks
+        ],
+        policies=policies,
+    )
+
+
+def _describe_env(plan: Plan, task: Task) -> dict[str, Any]:
+    """How anyone builds this task's simulator: a string entry point and JSON arguments."""
+    spec = plan.spec
+    kwargs = {"family": spec.family, "task": task.name, "horizon": spec.horizon, **spec.env}
+    return {"entry_point": "mpdt.data.sim.gym:make", "kwargs": kwargs}
+
+
+def _preset_returns(plan: Plan, name: str) -> dict[int, float]:
+    wanted = plan.spec.tta[name].preset_return
+    # `auto` is fixed per family: a value out of the data would have looked at the test task.
+    value = plan.family.return_target if wanted == "auto" else wanted
+    return {block.task.index: float(value) for block in plan.of_kind("tta", name)}
+
+
+def _rule(plan: Plan, name: str) -> dict[str, Any]:
+    rule, family = plan.spec.tta[name], plan.family
+    return {
+        "low": family.action_low,
+        "high": family.action_high,
+        "action_scale": rule.action_scale,
+        "horizon": rule.horizon or plan.spec.horizon,
+    }

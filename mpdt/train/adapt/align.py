@@ -1,0 +1,262 @@
+"""Zero-shot adaptation on X: tune a prompt until the features look like those of training.
+
+The published protocol. Ours, which reads X's rewards as well, is in `infer.py`; the two meet
+only where a start asks for `infer`.
+
+    X          random-action episodes of the unseen task, a preset return, no labels
+    loss       L1 between per-layer mean and variance of X's features and the source's
+    tuned      P_c alone (`cross_random`: v and u), its own copy for every test task
+    fixed      backbone, time table, head, every P_k
+
+All test tasks are adapted side by side. They share nothing: the loss is a sum over tasks and
+AdamW works element by element, so each ends where it would have ended alone.
+Source: Samadh et al. 2023 (PromptAlign), equations 5 to 7, without the entropy term. Their code
+averages over channels where the paper sums; a constant factor, which AdamW does not see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import msgspec
+import numpy as np
+import torch
+from torch import Tensor
+
+from mpdt.data.slices.windows import (
+    EpisodeColumns,
+    StepColumns,
+    WindowBatch,
+    constant_returns,
+    cover,
+    decreasing_returns,
+    gather_windows,
+)
+from mpdt.data.store.reader import Dataset, open_tta_rewards
+from mpdt.data.store.tables import TtaSet
+from mpdt.errors import DataError, TrainingError, UsageError, unknown_name
+from mpdt.model.limits import check_at_least
+from mpdt.model.policy import PromptPolicy
+from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start, TrainedPrompts
+from mpdt.model.returns import ReturnTable
+from mpdt.train.adapt.infer import InferSettings
+from mpdt.train.adapt.statistics import LayerStatistics, moments
+from mpdt.train.fit.loop import as_batch
+
+NOT_ADAPTED: Start = "none"
+INFERRED: tuple[Start, ...] = ("infer", "infer_aligned")
+
+
+class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Test-time adaptation. Choose these on held-out training tasks, never on test returns."""
+
+    starts: tuple[Start, ...] = ("cross",)
+    """Starts to adapt from and report; P_c o mean P_k without adaptation is always reported.
+    `infer` and `infer_aligned` read the rewards of X."""
+    infer: InferSettings = InferSettings()
+    set: str = "default"
+    """Name of the TTA set."""
+    episodes: int = 0
+    """Episodes of X per task: the first n of the set; 0 = all."""
+    windows: int = 64
+    """Windows of X per step and task."""
+    steps: int = 10
+    """AdamW steps; PromptAlign takes 1."""
+    lr: float = 5e-4
+    """Learning rate of the prompt; PromptAlign's."""
+    layers: tuple[int, ...] = ()
+    """Blocks that are compared, from 0; empty = all."""
+    returns: Literal["constant", "decrement"] = "constant"
+    """Return-to-go in X: the preset at every step, or less the simulated rewards (reads them)."""
+    clip_actions: bool = True
+    """Show X's actions as the simulator executed them, or as they were drawn (up to +-3)."""
+    target: Literal["preset", "training"] = "preset"
+    """Return asked of test tasks: the set's preset, or the mean target of the training tasks."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("episodes", 0), ("windows", 1), ("steps", 0), ("lr", 0)):
+            check_at_least(f"adapt.{name}", getattr(self, name), least)
+
+    @property
+    def needs_set(self) -> bool:
+        return any(start != NOT_ADAPTED for start in self.starts)
+
+    @property
+    def aligns(self) -> bool:
+        """Whether any start is tuned, and so compared with layer statistics."""
+        return any(start not in UNTUNED for start in self.starts)
+
+    @property
+    def infers(self) -> bool:
+        """Whether any start reads the rewards of X to find out the task."""
+        return any(start in INFERRED for start in self.starts)
+
+
+@dataclass(frozen=True)
+class _Source:
+    steps: StepColumns
+    episodes: EpisodeColumns
+
+
+class AdaptationSet:
+    """X of several test tasks, cut into windows that hold every step once.
+
+    Attributes:
+        source, ids: the set, and the episodes of each task in it; no rewards among them.
+    Raises: UsageError for an unknown set, DataError for a task without episodes in it.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        rows: Sequence[int],
+        settings: AdaptSettings,
+        window: int,
+        seed: int,
+        low: float,
+        high: float,
+    ) -> None:
+        self._settings, self._window, self._seed = settings, window, seed
+        self._low, self._high = low, high
+        self._set = find_tta_set(dataset, rows, settings)
+        self._rows = np.asarray(rows, np.int64)
+        # A TtaSet holds step arrays and episode columns side by side.
+        self.source = _Source(self._set, self._set)
+        preset = self._set.preset_return
+        self.ids = [self._set.of_task(row, settings.episodes or None) for row in rows]
+        self._covers = [cover(self._set.length, of_task, window) for of_task in self.ids]
+        self.presets = [float(preset[of_task[0]]) for of_task in self.ids]
+        self.num_steps = int(self._set.length[np.concatenate(self.ids)].sum())
+        if settings.returns == "decrement":
+            rewards, _ = open_tta_rewards(dataset.path, settings.set)
+            self._returns = decreasing_returns(self.source, preset, rewards)
+        else:
+            self._returns = constant_returns(preset)
+
+    def batch(self, step: int) -> WindowBatch:
+        """Windows (n, M, K, ...) of adaptation step `step`: a pure function of (seed, step)."""
+        words = np.random.SeedSequence([self._seed, step])
+        generator = np.random.Generator(np.random.PCG64(words))
+        M = self._settings.windows
+        picks = [
+            generator.choice(len(ids), size=M, replace=len(ids) < M) for ids, _ in self._covers
+        ]
+        covers = list(zip(self._covers, picks, strict=True))
+        batch = gather_windows(
+            self.source,
+            np.stack([ids[pick] for (ids, _), pick in covers]),
+            np.stack([starts[pick] for (_, starts), pick in covers]),
+            self._window, self._returns, tasks=self._rows,
+        )  # fmt: skip
+        if not self._settings.clip_actions:
+            return batch
+        return replace(
+            batch,
+            actions=batch.actions.clip(self._low, self._high),
+            previous_actions=batch.previous_actions.clip(self._low, self._high),
+        )
+
+
+def find_tta_set(dataset: Dataset, rows: Sequence[int], settings: AdaptSettings) -> TtaSet:
+    """The set of that name, if it covers all these task rows."""
+    where = str(dataset.path)
+    if not dataset.tta:
+        raise DataError("no set for test-time adaptation in this file", where=where,
+                        hint=f"give the entry a `tta:` and run: mpdt-data collect {dataset.name}"
+                        ", or skip adaptation: --adapt.starts none")  # fmt: skip
+    if settings.set not in dataset.tta:
+        raise unknown_name("TTA set", settings.set, dataset.tta, where=where)
+    chosen = dataset.tta[settings.set]
+    for row in rows:
+        if not len(chosen.of_task(row)):
+            raise DataError(f"the TTA set '{settings.set}' has no episodes of test task "
+                            f"{dataset.tasks.names[row]}", where=where,
+                            hint="skip adaptation: --adapt.starts none")  # fmt: skip
+    return chosen
+
+
+def unseen_returns(
+    trained: ReturnTable, settings: AdaptSettings, presets: list[float]
+) -> ReturnTable:
+    """Scale and range of the training tasks, with the target the user asks of each test task."""
+    if settings.target == "training":
+        presets = [float(trained.target.mean())] * len(presets)
+    return trained.pooled(presets)
+
+
+def alignment_loss(
+    features: tuple[Tensor, ...],
+    mask: Tensor,
+    source: LayerStatistics,
+    axes: Literal["channel", "position"],
+    layers: Sequence[int],
+) -> Tensor:
+    """L_align per task (n,): mean over layers and channels of |mean - mean'| + |var - var'|."""
+    chosen = list(layers) or list(range(len(features)))
+    mean, variance = moments(tuple(features[layer] for layer in chosen), mask, axes)
+    away = (mean - source.mean[chosen]).abs() + (variance - source.variance[chosen]).abs()
+    return away.flatten(start_dim=1).mean(dim=1)
+
+
+def adapt(
+    policy: PromptPolicy,
+    trained: TrainedPrompts,
+    start: Start,
+    unseen: AdaptationSet,
+    returns: ReturnTable,
+    source: LayerStatistics | None,
+    settings: AdaptSettings,
+    axes: Literal["channel", "position"],
+    seed: int,
+    on_step: Callable[[int, list[float]], None] | None = None,
+    weights: Tensor | None = None,
+) -> Tensor:
+    """Prompts (n, l, s) of the test tasks, adapted from `start`; `trained` is not changed.
+
+    Args:
+        returns: n rows, as `unseen_returns` gives them.
+        source: None only for starts that tune nothing.
+        on_step: called with (step, loss of each task) before each step's update.
+        weights: (n, N) of the training tasks, for `infer` and `infer_aligned`; `cross_one`
+            draws a donor by seed unless it is given one.
+    Raises: UsageError for a layer that is not there; TrainingError if a loss is not finite.
+    """
+    num_layers = policy.backbone.num_layers
+    if any(not 0 <= layer < num_layers for layer in settings.layers):
+        raise UsageError("no such layer", where="adapt.layers", expected=f"0 to {num_layers - 1}",
+                         found=str(settings.layers))  # fmt: skip
+    n = len(returns)
+    if start == "cross_one" and weights is None:
+        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, n])))
+        num_tasks = len(trained.task_parts())
+        donors = torch.from_numpy(generator.integers(num_tasks, size=n))
+        weights = torch.nn.functional.one_hot(donors, num_tasks).to(torch.float32)
+    prompts = AdaptedPrompts(trained, start, n, weights, seed)
+    tuned = [parameter for parameter in prompts.parameters() if parameter.requires_grad]
+    if not tuned:
+        return prompts.task_prompts().detach()
+    assert source is not None
+    optimizer = torch.optim.AdamW(tuned, lr=settings.lr, weight_decay=0.0)
+    for step in range(settings.steps):
+        windows = unseen.batch(step)
+        batch = as_batch(windows)
+        output = policy(batch, prompts.task_prompts(), returns, layer_features=True)
+        losses = alignment_loss(output.features, batch.mask, source, axes, settings.layers)
+        broken = ~losses.detach().isfinite()
+        if broken.any():
+            raise TrainingError(
+                f"the alignment loss is {losses[broken][0].item()} at step {step}",
+                where=f"adaptation from {start}",
+                found=f"tasks {windows.tasks[broken.numpy()].tolist()}",
+                hint="lower --adapt.lr, or look for broken rows with mpdt-data verify",
+            )
+        if on_step:
+            on_step(step, losses.tolist())
+        for parameter, gradient in zip(
+            tuned, torch.autograd.grad(losses.sum(), tuned), strict=True
+        ):
+            parameter.grad = gradient
+        optimizer.step()
+    return prompts.task_prompts().detach()

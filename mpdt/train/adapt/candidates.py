@@ -1,0 +1,259 @@
+"""Policies for the test tasks: every start of adaptation, few-shot, and no adaptation at all.
+
+Candidate = a label, a controller, and what was read of the test task to make it
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mpdt.data.store.reader import open_tta_rewards
+from mpdt.errors import UsageError
+from mpdt.model.demonstrations import DemonstrationPrompts
+from mpdt.model.policy import PromptPolicy, action_loss
+from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start
+from mpdt.model.returns import ReturnTable
+from mpdt.train.adapt.align import INFERRED, NOT_ADAPTED, AdaptationSet, adapt, unseen_returns
+from mpdt.train.adapt.few_shot import choose_labelled, tune
+from mpdt.train.adapt.infer import (
+    Explanation,
+    explain,
+    fit_reward_model,
+    read_training_tasks,
+    read_transitions,
+)
+from mpdt.train.adapt.statistics import LayerStatistics, source_statistics
+from mpdt.train.evaluate.controller import PerTaskController, PromptController
+from mpdt.train.evaluate.rollout import Controller
+from mpdt.train.evaluate.score import Reads
+from mpdt.train.fit.data import sample_demonstrations
+from mpdt.train.fit.loop import as_batch
+from mpdt.train.phases import phase_seed
+from mpdt.train.run.trainer import Trained, Trainer
+
+DONOR_BATCHES = 4  # of all training tasks, to choose the one whose demonstration stands for all
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One row of the table of test tasks."""
+
+    label: str
+    controller: Controller
+    reads: Reads
+
+
+class UnseenTasks:
+    """Makes the candidates of one trained policy, in the order of the table.
+
+    Attributes:
+        returns: what is asked of the test tasks, one row each.
+    """
+
+    def __init__(self, trainer: Trainer, trained: Trained) -> None:
+        self._trainer, self._trained = trainer, trained
+        self._config, self._material = trainer.config, trainer.material
+        self._rows = self._material.test_rows
+        self._seed = phase_seed(self._config.seed, "adapt")
+        self._weights: Tensor | None = None
+        self._shows = self._config.prompts.kind in ("demonstration", "hyper")
+        presets = [self._material.family.return_target] * len(self._rows)
+        if self._config.adapt.needs_set:
+            self._x = AdaptationSet(
+                self._material.dataset, self._rows, self._config.adapt,
+                self._config.sampler.window, self._seed,
+                self._material.family.action_low, self._material.family.action_high,
+            )  # fmt: skip
+            presets = self._x.presets
+        self.returns = unseen_returns(trained.returns, self._config.adapt, presets)
+
+    def candidates(self) -> Iterator[Candidate]:
+        """Adapted, few-shot, not adapted. Raises: Stopped after a signal; DataError."""
+        settings = self._config.adapt
+        source = self._statistics() if settings.aligns else None
+        for start in dict.fromkeys(settings.starts):
+            if start != NOT_ADAPTED:
+                reads: Reads = "X+rewards" if settings.returns == "decrement" else "X"
+                reads = "X+rewards" if start in INFERRED else reads
+                prompts = self._adapt(start, source)
+                yield Candidate(LABELS[start], self.controller(prompts, self.returns), reads)
+        yield from self._few_shot()
+        if self._config.few_shot.demonstration:
+            yield self._demonstrated()
+        label = LABELS[NOT_ADAPTED]
+        if self._config.prompts.kind != "decomposed":
+            label = "not adapted"
+        prompts = self._start(NOT_ADAPTED).task_prompts().detach()
+        yield Candidate(label, self.controller(prompts, self.returns), "nothing")
+
+    def controller(
+        self, prompts: Tensor, returns: ReturnTable, policy: PromptPolicy | None = None
+    ) -> PromptController:
+        """The trained policy, or one tuned from it, behind these prompts."""
+        family = self._material.family
+        return PromptController(
+            policy or self._trained.policy, prompts, returns, self._config.sampler.window,
+            family.action_low, family.action_high,
+        )  # fmt: skip
+
+    def _adapt(self, start: Start, source: LayerStatistics | None) -> Tensor:
+        trainer, settings = self._trainer, self._config.adapt
+
+        def on_step(step: int, losses: list[float]) -> None:
+            trainer.stop.check()
+            trainer.folder.log.append(
+                {"phase": "adapt", "start": start, "step": step, "losses": losses}
+            )
+            trainer.progress.update(
+                f"adapt {start}", step + 1, settings.steps,
+                f"alignment {sum(losses) / len(losses):.4f}",
+            )  # fmt: skip
+
+        weights = None
+        if start in INFERRED:
+            weights = self.inferred()
+        elif start == "cross_one" and self._shows:
+            weights = self._best_donors()
+        return adapt(
+            self._trained.policy, self._trained.prompts, start, self._x, self.returns, source,
+            settings, self._config.statistics.axes, self._seed, on_step, weights,
+        )  # fmt: skip
+
+    def _start(self, start: Start) -> AdaptedPrompts:
+        trained, weights = self._trained.prompts, None
+        if start in INFERRED:
+            weights = self.inferred()
+        elif start in UNTUNED and self._shows:
+            start, weights = "infer", self._best_donors()  # demonstrations do not average
+        return AdaptedPrompts(trained, start, len(self._rows), weights, self._seed)
+
+    def _few_shot(self) -> Iterator[Candidate]:
+        settings, trainer = self._config.few_shot, self._trainer
+        for quality in settings.qualities:
+            labelled = choose_labelled(
+                self._material.dataset, self._rows, quality, settings.steps, self._seed
+            )
+
+            def on_step(done: int, parts: dict[str, float], quality: str = quality) -> None:
+                trainer.stop.check()
+                trainer.progress.update(f"few-shot {quality}", done, settings.updates,
+                                        f"action loss {parts['action_loss']:.4f}")  # fmt: skip
+
+            if settings.demonstration:
+                weights = torch.eye(len(self._rows))
+                own = self._demonstrations()
+                start = AdaptedPrompts(own, "cross_one", len(self._rows), weights)
+            else:
+                start = self._start(settings.start)
+            tuned = tune(
+                self._trained.policy, start, labelled, self._rows,
+                self._config.sampler.window, self.returns, settings, self._seed, on_step,
+            )  # fmt: skip
+            controllers = [
+                self.controller(prompt, self.returns.select(torch.tensor([i])), policy)
+                for i, (policy, prompt) in enumerate(tuned)
+            ]
+            reads: Reads = "demonstration" if settings.demonstration else "labelled steps"
+            yield Candidate(f"few-shot {quality}", PerTaskController(controllers), reads)
+
+    def _demonstrated(self) -> Candidate:
+        """An expert episode's steps of the test task itself: Prompt-DT's few-shot setting."""
+        prompts = self._demonstrations().task_prompts().detach()
+        controller = self.controller(prompts, self.returns)
+        return Candidate("expert demonstration", controller, "demonstration")
+
+    def _demonstrations(self) -> DemonstrationPrompts:
+        trained = self._trained.prompts
+        if not isinstance(trained, DemonstrationPrompts):
+            raise UsageError("only prompts made from demonstrations can show one",
+                             where="few_shot.demonstration",
+                             found=f"prompts.kind {self._config.prompts.kind}")  # fmt: skip
+        shown = sample_demonstrations(
+            self._material, self._config.prompts.length, self._seed, self._rows
+        )
+        return trained.showing(as_batch(shown), self.returns)
+
+    def inferred(self) -> Tensor:
+        """Weights (n, N) of the training tasks, from X and its rewards; computed once."""
+        if self._weights is None:
+            found = self._explanations()
+            names = [self._material.dataset.tasks.names[row] for row in self._material.train_rows]
+            for row, own in zip(self._rows, found, strict=True):
+                task = self._material.dataset.tasks.names[row]
+                self._trainer.folder.log.append(
+                    {"phase": "infer", "task": task, "weights": own.named(names),
+                     "error": float(own.errors.min())}
+                )  # fmt: skip
+            stacked = np.stack([own.weights for own in found])
+            self._weights = torch.from_numpy(stacked).to(torch.float32)
+        return self._weights
+
+    def _explanations(self) -> list[Explanation]:
+        """The only place of an adaptation where rewards of a test task are read."""
+        material, settings = self._material, self._config.adapt
+        dataset, family = material.dataset, material.family
+        box = (family.action_low, family.action_high)
+        known = read_training_tasks(material)
+
+        def on_step(done: int, loss: float) -> None:
+            self._trainer.stop.check()
+            self._trainer.progress.update("reward model", done, settings.infer.steps,
+                                          f"unexplained {loss:.5f}")  # fmt: skip
+
+        model = fit_reward_model(known, settings.infer, self._seed, on_step)
+        rewards, _ = open_tta_rewards(dataset.path, settings.set)
+        # Demonstrations do not average.
+        most = 1 if self._shows else settings.infer.tasks
+        return [
+            explain(model, read_transitions(self._x.source, ids, rewards, *box), most)
+            for ids in self._x.ids
+        ]
+
+    def _statistics(self) -> LayerStatistics:
+        settings = self._config.statistics
+        ids = self._material.random_ids() if settings.source == "random" else None
+        sampler = self._trainer.sampler("statistics", ids)
+        # X is covered evenly; a training sampler may show the beginning of episodes more often.
+        sampler.start_bias = 0
+        trained = self._trained
+        return source_statistics(
+            trained.policy, trained.prompts, sampler, trained.returns, settings
+        )
+
+    @torch.no_grad()
+    def _best_donors(self) -> Tensor:
+        """Weights (n, N): all on the training task whose prompt imitates all of them best.
+
+        Every training task counts the same, however many of them an update takes.
+        """
+        trained, sampler = self._trained, self._trainer.sampler("statistics")
+        sampler.num_slots, sampler.start_bias = len(self._material.train_rows), 0
+        parts = trained.prompts.task_parts()
+        losses = np.zeros(len(parts))
+        for number in range(DONOR_BATCHES):
+            windows = sampler.batch(number)
+            batch, slots = as_batch(windows), torch.from_numpy(windows.slots)
+            assert batch.actions is not None
+            returns = trained.returns.select(slots)
+            for k, part in enumerate(parts):
+                output = trained.policy(batch, part.expand(len(slots), *part.shape), returns)
+                losses[k] += float(action_loss(output.actions, batch.actions, batch.mask))
+        weights = torch.zeros(len(self._rows), len(parts))
+        weights[:, int(losses.argmin())] = 1
+        return weights
+
+
+LABELS: dict[Start, str] = {
+    "cross": "from cross, adapted",
+    "cross_mean": "from cross_mean, adapted",
+    "cross_one": "from cross_one, adapted",
+    "cross_random": "from cross_random, adapted",
+    "infer": "infer",
+    "infer_aligned": "infer, adapted",
+    "none": "P_c o mean P_k, not adapted",
+}

@@ -1,0 +1,159 @@
+"""Scores -> tables, on the terminal (rich) and as report.md.
+
+Two tables per block of tasks: every task beside every method, and the mean over tasks with
+its interval. The trivial rows (zero action, random, best constant) stand in every table:
+without them a few dozen return points look like learning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mpdt.train.evaluate.score import MEAN, Block, Score
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+BLOCKS: tuple[tuple[Block, str], ...] = (("train", "training"), ("test", "test"))
+NOT_MEASURED = "not measured"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text cells, ready to be drawn either way."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+    """Lines below the table."""
+
+
+def build_tables(scores: Sequence[Score]) -> list[Table]:
+    """Per block: tasks x methods, then the mean over tasks. Order of methods: as given."""
+    tables = []
+    for block, kind in BLOCKS:
+        chosen = [score for score in scores if score.block == block]
+        if not chosen:
+            continue
+        title = "Training tasks (each with its own prompt)"
+        if block == "test":
+            title = test_title(scores)
+        methods = list(dict.fromkeys(score.method for score in chosen))
+        tasks = list(dict.fromkeys(score.task for score in chosen))
+        at = {(score.task, score.method): score for score in chosen}
+        rows = tuple(
+            (task, *(_cell(at.get((task, method))) for method in methods)) for task in tasks
+        )
+        has_success = any(score.success is not None for score in chosen)
+        note = ": return [95 % interval over seeds]" + (" success" if has_success else "")
+        note += " (normalised)"
+        verdicts = tuple(_verdicts(chosen, methods, kind))
+        tables.append(Table(title + note, ("task", *methods), rows, verdicts))
+        told = any(score.reads for score in chosen)
+        means = tuple(
+            _mean_row(method, at.get((MEAN, method)), has_success, told) for method in methods
+        )
+        columns = ["method", "mean return", "95 % interval", "normalised"]
+        columns += ["success"] if has_success else []
+        columns += ["reads"] if told else []
+        tables.append(Table(f"{title}: mean over tasks", tuple(columns), means))
+    return tables
+
+
+def test_title(scores: Sequence[Score]) -> str:
+    """Whether training knew the test tasks; what each method read stands in its column."""
+    test, train = (
+        {score.task for score in scores if score.block == block} - {MEAN}
+        for block in ("test", "train")
+    )
+    seen = test & train
+    said = "never trained on"
+    if seen:
+        said = f"{len(seen)} of {len(test)} are training tasks as well"
+        said = "the training tasks again, behind other prompts" if seen == test else said
+    return f"Test tasks ({said})"
+
+
+def _verdicts(scores: Sequence[Score], methods: Sequence[str], kind: str) -> Iterator[str]:
+    for method in methods:
+        verdicts = [
+            score.beats_trivial
+            for score in scores
+            if score.method == method and score.task != MEAN and score.beats_trivial is not None
+        ]
+        if verdicts:
+            yield (
+                f"{method} beats zero action and random (intervals apart): "
+                f"{sum(verdicts)} of {len(verdicts)} {kind} tasks"
+            )
+
+
+def render_markdown(header: Mapping[str, str], tables: Sequence[Table]) -> str:
+    """report.md: what the run was, then the tables."""
+    parts = ["# " + header.get("name", "run"), ""]
+    parts += [f"- {key}: {value}" for key, value in header.items() if key != "name"]
+    for table in tables:
+        parts += ["", f"## {table.title}", "", _line(table.columns)]
+        parts.append(_line(["---"] + ["---:"] * (len(table.columns) - 1)))
+        parts += [_line(row) for row in table.rows]
+        for note in table.notes:
+            parts += ["", note]
+    parts += ["", "normalised = (return - random) / (expert - random), mean over tasks."]
+    return "\n".join(parts) + "\n"
+
+
+def rich_tables(tables: Sequence[Table]) -> list[RichTable]:
+    from rich.table import Table as RichTable
+
+    drawn = []
+    for table in tables:
+        rich = RichTable(title=table.title, title_justify="left")
+        for i, column in enumerate(table.columns):
+            rich.add_column(column, justify="right" if i else "left", no_wrap=not i)
+        for i, row in enumerate(table.rows):
+            follower = table.rows[i + 1][0] if i + 1 < len(table.rows) else ""
+            rich.add_row(*row, end_section=follower == MEAN)
+        rich.caption, rich.caption_justify = "\n".join(table.notes) or None, "left"
+        drawn.append(rich)
+    return drawn
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _number(value: float) -> str:
+    return f"{value:.1f}" if abs(value) < 1000 else f"{value:.0f}"
+
+
+def _interval(score: Score) -> str:
+    known = score.low == score.low
+    return f"[{_number(score.low)}, {_number(score.high)}]" if known else "-"
+
+
+def _cell(score: Score | None) -> str:
+    if score is None or score.mean != score.mean:
+        return NOT_MEASURED
+    parts = [_number(score.mean)]
+    if score.low == score.low:
+        parts.append(_interval(score))
+    if score.success is not None:
+        parts.append(f"{score.success:.0%}")
+    if score.low == score.low and score.normalised == score.normalised:
+        parts.append(f"({score.normalised:.2f})")
+    return " ".join(parts)
+
+
+def _mean_row(method: str, score: Score | None, has_success: bool, told: bool) -> tuple[str, ...]:
+    if score is None or score.mean != score.mean:
+        cells = [NOT_MEASURED, "-", "-", "-"]
+    else:
+        success = "-" if score.success is None else f"{score.success:.0%}"
+        known = score.normalised == score.normalised
+        level = f"{score.normalised:.2f}" if known else "-"
+        cells = [_number(score.mean), _interval(score), level, success]
+    reads = [(score.reads if score else None) or "-"] if told else []
+    return (method, *cells[: 4 if has_success else 3], *reads)

@@ -1,0 +1,204 @@
+"""The training loop, one page: soft prompts of many tasks behind one frozen language model.
+
+    for every update:
+        windows of every training task        a pure function of (seed, step)
+        prompts P*_k of those tasks           teacher: full ones; student: P_c o v_k u_k
+        loss = L_act + lambda L_dis           L_dis only for the student
+        AdamW with warm-up and clipping       prompts, time table, head (and map)
+
+Both phases use it. Whatever changes from update to update comes from (seed, step), so a
+checkpoint holds numbers and a step, and a resumed run repeats an unbroken one bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Literal, cast
+
+import msgspec
+import numpy as np
+import torch
+from torch import nn
+
+from mpdt.data.slices.sampler import WindowSampler
+from mpdt.data.slices.windows import WindowBatch
+from mpdt.errors import TrainingError
+from mpdt.model.demonstrations import DemonstrationPrompts
+from mpdt.model.limits import check_at_least
+from mpdt.model.policy import PolicyBatch, PromptPolicy, Windows, action_loss
+from mpdt.model.prompts import (
+    AdaptedPrompts,
+    DecomposedPrompts,
+    SharedPrompt,
+    TaughtParts,
+    TeacherPrompts,
+)
+from mpdt.model.returns import ReturnTable
+from mpdt.train.fit.device import PROCESSOR, Hardware
+from mpdt.train.fit.teacher import Teacher
+
+TaskPrompts = DecomposedPrompts | TaughtParts | SharedPrompt | DemonstrationPrompts
+Prompts = TaskPrompts | TeacherPrompts | AdaptedPrompts
+Step = Callable[[int, dict[str, float]], bool]
+"""Called after every update with (updates done, losses); True ends the loop early."""
+
+
+class OptimiserSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """AdamW for both phases."""
+
+    lr: float = 1e-3
+    """Learning rate of what all tasks share: time table, head, trained input map."""
+    lr_cross: float = 1e-3
+    """Learning rate of P_c."""
+    lr_task: float = 1e-3
+    """Learning rate of u_k and v_k."""
+    lr_teacher: float = 1e-3
+    """Learning rate of the teacher prompts."""
+    weight_decay: float = 1e-4
+    warmup_steps: int = 100
+    """Updates over which the learning rates rise linearly from 0."""
+    schedule: Literal["constant", "cosine"] = "constant"
+    """After the warm-up: stay, or fall to 0 along half a cosine at the last update."""
+    clip: float = 0.25
+    """Largest norm of the whole gradient; 0 never clips."""
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            if name != "schedule":
+                check_at_least(f"optimiser.{name}", getattr(self, name), 0)
+
+
+class MultitaskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Phase B, and how often both phases report."""
+
+    steps: int = 3000
+    """Updates of P_c and P_k."""
+    log_every: int = 50
+    """Updates between two lines of metrics.jsonl."""
+    checkpoint_every: int = 500
+    """Updates between two checkpoints; stopping writes one as well."""
+    sparse: float = 0.0
+    """lambda_1 of the mean of |P_k| (published option: 0.2)."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("steps", 0), ("log_every", 1), ("checkpoint_every", 1), ("sparse", 0)):
+            check_at_least(f"multitask.{name}", getattr(self, name), least)
+
+
+def fit(
+    policy: PromptPolicy,
+    prompts: Prompts,
+    optimizer: torch.optim.AdamW,
+    sampler: WindowSampler,
+    returns: ReturnTable,
+    settings: OptimiserSettings,
+    *,
+    first_step: int,
+    num_steps: int,
+    on_step: Step,
+    teacher: Teacher | None = None,
+    distillation_weight: float = 0.0,
+    sparse: float = 0.0,
+    hardware: Hardware = PROCESSOR,
+    phase: str = "training",
+    rate: str = "--optimiser.lr",
+) -> int:
+    """Train from update `first_step` up to `num_steps`; returns the updates done.
+
+    Args:
+        phase, rate: what an error names, and the option that would help.
+        hardware: where the modules are, and who else trains them; losses are those of all.
+    Raises: TrainingError with step and windows if the loss is not a finite number.
+    """
+    trained = [p for rates in optimizer.param_groups for p in rates["params"]]
+    group, returns = hardware.group, hardware.returns(returns)
+    for step in range(first_step, num_steps):
+        for rates in optimizer.param_groups:
+            rates["lr"] = rates["base_lr"] * rate_factor(settings, step, num_steps)
+        windows = group.share(sampler.batch(step))
+        batch, slots = hardware.batch(windows), hardware.tensor(torch.from_numpy(windows.slots))
+        with hardware.autocast():
+            of_tasks, task_prompts = returns.select(slots), prompts.task_prompts(slots, step)
+            output = policy(
+                batch, task_prompts, of_tasks,
+                generator=_dropout_generator(sampler.seed, step),
+                layer_features=teacher is not None and teacher.needs_features,
+            )  # fmt: skip
+            assert batch.actions is not None
+            loss = action = action_loss(output.actions, batch.actions, batch.mask)
+            losses = {"action_loss": action}
+            if teacher is not None:
+                distilled = teacher.loss(batch, slots, task_prompts, output, of_tasks, group)
+                loss = loss + distillation_weight * distilled
+                losses["distillation_loss"] = distilled
+            if sparse and isinstance(prompts, DecomposedPrompts):
+                loss = loss + sparse * prompts.task_parts(slots).abs().mean()
+        optimizer.zero_grad(set_to_none=True)
+        weight = group.weight(batch.mask)
+        hardware.scaler.scale(weight * loss).backward()  # type: ignore[no-untyped-call]
+        group.add_gradients(trained)
+        hardware.scaler.unscale_(optimizer)
+        norm = nn.utils.clip_grad_norm_(trained, settings.clip or math.inf)
+        parts = {name: float(group.total(weight * value))
+                 for name, value in (losses | {"loss": loss}).items()}  # fmt: skip
+        if hardware.accepts(norm):
+            parts["gradient_norm"] = norm.item()
+        _stop_on_nan(parts, step, windows, phase, rate)
+        hardware.scaler.step(optimizer)
+        hardware.scaler.update()
+        if on_step(step + 1, parts):
+            return step + 1
+    return num_steps
+
+
+def as_batch(windows: WindowBatch) -> PolicyBatch:
+    """The sampler's windows as tensors."""
+    # The protocol asks for settable attributes, which a frozen batch does not have.
+    return PolicyBatch.from_windows(cast(Windows, windows))
+
+
+def make_optimizer(
+    policy: PromptPolicy, prompts: Prompts, settings: OptimiserSettings
+) -> torch.optim.AdamW:
+    """AdamW over the prompts and all trainables of the policy, each with its own rate."""
+    rates = {
+        "cross": settings.lr_cross, "prompts": settings.lr_teacher,
+        "task_v": settings.lr_task, "task_u": settings.lr_task,
+    }  # fmt: skip
+    groups = [{"params": [p for p in policy.parameters() if p.requires_grad], "lr": settings.lr}]
+    groups += [
+        {"params": [parameter], "lr": rates.get(name, settings.lr)}
+        for name, parameter in prompts.named_parameters()
+    ]
+    # `base_lr` travels in the group, so the schedule needs nothing but the step.
+    kept = [group | {"base_lr": group["lr"]} for group in groups if group["params"]]
+    return torch.optim.AdamW(kept, weight_decay=settings.weight_decay)
+
+
+def rate_factor(settings: OptimiserSettings, step: int, num_steps: int) -> float:
+    """Share of the full learning rate at update `step` (from 0)."""
+    factor = min(1.0, (step + 1) / max(1, settings.warmup_steps))
+    if settings.schedule == "cosine":
+        factor *= 0.5 * (1 + math.cos(math.pi * step / num_steps))
+    return factor
+
+
+def _dropout_generator(seed: int, step: int) -> torch.Generator:
+    """A stream of its own (spawn key 1), apart from the windows of the same step."""
+    words = np.random.SeedSequence([seed, step], spawn_key=(1,)).generate_state(1, np.uint64)
+    return torch.Generator().manual_seed(int(words[0] >> 1))
+
+
+def _stop_on_nan(
+    parts: dict[str, float], step: int, windows: WindowBatch, phase: str, rate: str
+) -> None:
+    broken = [name for name, value in parts.items() if not math.isfinite(value)]
+    if broken:
+        raise TrainingError(
+            f"{broken[0]} is {parts[broken[0]]} at step {step}",
+            where=phase,
+            found=f"tasks {windows.tasks.tolist()}, episodes {windows.episodes.tolist()}, "
+            f"starts {windows.starts.tolist()}",
+            hint=f"lower {rate}, or look for broken rows with mpdt-data verify",
+        )

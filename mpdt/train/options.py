@@ -1,0 +1,138 @@
+"""The commands of mpdt-train: one dataclass each, its docstrings are the help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Run:
+    """Train on a data file, adapt to its unseen tasks, judge everything in the simulator.
+
+    Runs by default, without a subcommand. A run with the same settings and data in the same
+    folder continues where it stopped. Every setting of every part can be given as well, for
+    example --seed 1, --quality medium, --inputs.return-to-go none, --prompts.length 9;
+    `mpdt-train settings` lists them all. After training, other --adapt, --statistics and
+    --evaluation settings judge the same weights again. Other commands: settings, report.
+    """
+
+    data: str
+    """FILE or FILE:slice, as written by mpdt-data collect or split."""
+    preset: str = "base"
+    """Settings to start from: smoke, demo, base, paper."""
+    method: str | None = None
+    """MPDT, MPDT-E, MPDT-WP, Soft-Prompt, Prompt-DT, MT-BC, LaMo, ...: lays a method over the
+    preset. An unknown name lists them all; default: the preset's own."""
+    adapt: str | None = None
+    """Start of adaptation, such as cross or infer. Short for --adapt.starts."""
+    name: str | None = None
+    """Folder of the run inside the runs folder; default: FILE-preset or FILE-method."""
+    runs_dir: Path = Path("runs")
+    """Where runs are kept."""
+    restart: bool = False
+    """Throw away what an earlier run left in that folder."""
+    steps: int | None = None
+    """Updates of P_c and P_k; the teacher keeps its share. Short for --multitask.steps."""
+    time_limit_s: float = 0.0
+    """End training after so many seconds and judge what there is; the same command trains on.
+    0 = never."""
+    json: bool = False
+    """Print results.json instead of tables."""
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
+    """No progress on stderr."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Every setting of a preset with its value, as it can be given on the command line."""
+
+    preset: str = "base"
+    """smoke, demo, base, paper."""
+    json: bool = False
+    """As JSON instead of one option a line."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Judge a stored run again without training, with other settings of judging.
+
+    Every setting of --adapt, --few-shot, --statistics and --evaluation can be given.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    """The run's folder, such as runs/ml10-base."""
+    data: str
+    """FILE or FILE:slice it was trained on."""
+    json: bool = False
+    """Print results.json instead of tables."""
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
+    """No progress on stderr."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+@dataclass(frozen=True)
+class Adapt(Evaluate):
+    """Adapt a stored run to its test tasks without training, and judge those tasks alone.
+
+    For example --adapt.starts infer, or --few-shot.qualities expert mixed.
+    """
+
+
+@dataclass(frozen=True)
+class Study:
+    """Run the cells of a study that are not done yet; stop it at any time, it goes on.
+
+    Cells without a data file are listed and left out.
+    """
+
+    name: tyro.conf.Positional[str]
+    """Name of the study; an unknown one lists all."""
+    data_dir: Path = Path()
+    """Where the files NAME.h5 lie."""
+    runs_dir: Path = Path("runs")
+    """Where runs are kept."""
+    results_dir: Path = Path("results")
+    """Where STUDY/CELL.json are written."""
+    only: str = ""
+    """Only cells whose name holds this text, such as the whole name of one."""
+    restart: bool = False
+    """Train and judge again what is done as well; its results are replaced."""
+    dry_run: bool = False
+    """Say what is done and what is to do."""
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
+    """No progress on stderr."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """The tables of a finished run, or of all cells of a study."""
+
+    folder: tyro.conf.Positional[Path]
+    """A run's folder, such as runs/ml10-base, or a study's results: results/studies/one-block."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Write tables.md, tables.csv and plots of a study there, or the maps of a run's prompts
+    (plots need the extra `docs`)."""
+    html: Path | None = None
+    """Write one page with tables, bars, curves and maps of prompts there; it needs no network."""
+    json: bool = False
+    """Print results.json instead of tables."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+Command = Run | Settings | Evaluate | Study | Report
+COMMANDS: dict[str, type[Command]] = {
+    "run": Run, "settings": Settings, "adapt": Adapt, "evaluate": Evaluate, "study": Study,
+    "report": Report,
+}  # fmt: skip

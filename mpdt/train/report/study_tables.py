@@ -1,0 +1,50 @@
+"""The report of a study: goals and claims first, then the tables of every data set."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from mpdt.disk import disk
+from mpdt.train.evaluate.score import write_atomic
+from mpdt.train.evaluate.tables import Table, render_markdown, rich_tables
+from mpdt.train.run.show import WIDTH_WITHOUT_TERMINAL
+from mpdt.train.study.claims import CLAIMED_OF, GOALS, claims_table, goals_table
+from mpdt.train.study.summary import CellResult, cells_csv, read_cells, study_tables
+
+
+def report_tables(cells: Sequence[CellResult], study: str) -> list[Table]:
+    """All tables of a study, in the order of reading."""
+    verdicts = []
+    if {cell.data for cell in cells} & {goal.data for goal in GOALS}:
+        verdicts = [goals_table(cells)]
+    if study == CLAIMED_OF:
+        verdicts.append(claims_table(cells))
+    return [*verdicts, *study_tables(cells, study)]
+
+
+def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
+    """Tables on stdout (or the cells as JSON); with `output` also as files and plots."""
+    cells = read_cells(folder)
+    if as_json:
+        sys.stdout.write(json.dumps([cell.content for cell in cells]) + "\n")
+        return
+    from rich.console import Console
+
+    tables = report_tables(cells, folder.name)
+    width = None if sys.stdout.isatty() else WIDTH_WITHOUT_TERMINAL
+    console = Console(file=sys.stdout, width=width)
+    for table in rich_tables(tables):
+        console.print(table)
+    if output is not None:
+        from mpdt.train.report.plots import plot_kept_prompts, plot_study
+
+        with disk(output):
+            output.mkdir(parents=True, exist_ok=True)
+        markdown = render_markdown({"name": folder.name}, tables)
+        write_atomic(output / "tables.md", markdown.encode())
+        write_atomic(output / "tables.csv", cells_csv(cells).encode())
+        plot_study(cells, output)
+        plot_kept_prompts(cells, folder, output)

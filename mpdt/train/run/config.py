@@ -1,0 +1,104 @@
+"""TrainConfig: the parts' own settings put together, frozen.
+
+Nothing is defined twice: each part owns its settings, this file only composes them. Numbers
+that were chosen for a purpose live in presets.py.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import msgspec
+
+from mpdt.data.slices.sampler import SamplerSettings
+from mpdt.errors import SpecError
+from mpdt.model.backbone import BackboneSettings
+from mpdt.model.policy import HeadSettings
+from mpdt.model.prompts import PromptSettings
+from mpdt.model.tokens import InputSettings
+from mpdt.train.adapt.align import AdaptSettings
+from mpdt.train.adapt.few_shot import FewShotSettings
+from mpdt.train.adapt.statistics import StatisticsSettings
+from mpdt.train.evaluate.rollout import EvaluationSettings
+from mpdt.train.fit.device import HardwareSettings
+from mpdt.train.fit.loop import MultitaskSettings, OptimiserSettings
+from mpdt.train.fit.mixing import MixingSettings
+from mpdt.train.fit.teacher import TeacherSettings
+
+
+class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Every setting of a run. Equal configs on equal data on one machine give equal bytes."""
+
+    method: str = "MPDT"
+    """Name in the tables; `--method` sets it together with what makes the method."""
+    seed: int = 0
+    """Root of all random numbers of training and adaptation."""
+    quality: str = "auto"
+    """Episodes to train on: random, medium, expert, history, all; auto = expert or the only one."""
+    threads: int = 1
+    """Threads of torch; 0 = all cores. Another number may change the last bits.
+
+    One is the default: on two cores two were 1.1 times as fast when idle with passive waiting,
+    and 15 times slower with torch's own (spinning) waits. See docs/log.md, 2026-11-22."""
+    target_quantile: float = 0.9
+    """Return asked of training tasks in closed loop, as a quantile of their training episodes."""
+    hardware: HardwareSettings = HardwareSettings()
+    backbone: BackboneSettings = BackboneSettings()
+    inputs: InputSettings = InputSettings()
+    head: HeadSettings = HeadSettings()
+    prompts: PromptSettings = PromptSettings()
+    sampler: SamplerSettings = SamplerSettings()
+    optimiser: OptimiserSettings = OptimiserSettings()
+    teacher: TeacherSettings = TeacherSettings()
+    multitask: MultitaskSettings = MultitaskSettings()
+    mixing: MixingSettings = MixingSettings()
+    statistics: StatisticsSettings = StatisticsSettings()
+    adapt: AdaptSettings = AdaptSettings()
+    few_shot: FewShotSettings = FewShotSettings()
+    evaluation: EvaluationSettings = EvaluationSettings()
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("seed", 0, 2**63 - 1), ("threads", 0, 1024),
+                                ("target_quantile", 0, 1)):  # fmt: skip
+            if not low <= getattr(self, name) <= high:
+                raise SpecError("setting out of range", where=name,
+                                expected=f"{low} to {high}",
+                                found=str(getattr(self, name)))  # fmt: skip
+        shots = self.few_shot
+        if not shots.qualities:
+            return
+        if self.prompts.kind == "none" and shots.tuned == "prompt":
+            raise SpecError("few-shot has no prompt to tune", where="prompts.kind none",
+                            hint="--few-shot.tuned all --few-shot.start none")  # fmt: skip
+        if shots.start == "infer_aligned" and not self.adapt.infers:
+            raise SpecError("few-shot starts from an inferred task, and none is inferred",
+                            where="few_shot.start", expected="infer among adapt.starts",
+                            found=" ".join(self.adapt.starts),
+                            hint="--adapt.starts infer")  # fmt: skip
+
+
+def to_plain(config: TrainConfig) -> dict[str, Any]:
+    """JSON values; what config.json and results.json store."""
+    plain: dict[str, Any] = msgspec.to_builtins(config)
+    return plain
+
+
+def from_plain(plain: dict[str, Any]) -> TrainConfig:
+    """Undo `to_plain`. Raises: SpecError naming the key."""
+    try:
+        return msgspec.convert(plain, TrainConfig)
+    except msgspec.ValidationError as error:
+        raise SpecError("not a training configuration", found=str(error)) from error
+
+
+def differences(old: dict[str, Any], new: dict[str, Any], prefix: str = "") -> list[str]:
+    """`key: old -> new` for every leaf that differs."""
+    found = []
+    for key in sorted(set(old) | set(new)):
+        a, b = old.get(key), new.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            found += differences(a, b, f"{prefix}{key}.")
+        elif a != b:
+            found.append(f"{prefix}{key}: {json.dumps(a)} -> {json.dumps(b)}")
+    return found

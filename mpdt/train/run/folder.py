@@ -1,0 +1,235 @@
+"""The folder of one run: whose it is, and the names of what lies in it.
+
+runs/<name>/
+  config.json           settings and data; refuses another run
+  run.pid               lock of the process at work, while there is one
+  metrics.jsonl         losses while it goes
+  checkpoint-PHASE.safetensors   exact resume, until the phase has all its updates
+  teacher.safetensors   teacher prompts with their time table and head
+  weights.safetensors   the trained policy, trainables only
+  results.json, report.md
+  judged/HASH.json      results.json of earlier judgements of these weights, under other settings
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mpdt.data.store.lock import take_lock
+from mpdt.disk import disk
+from mpdt.errors import (
+    FormatError,
+    MissingFileError,
+    SpecError,
+    StorageError,
+    TrainingError,
+    UsageError,
+)
+from mpdt.train.evaluate.score import MetricsLog, write_atomic
+from mpdt.train.run.config import TrainConfig, differences, from_plain
+from mpdt.train.run.identity import Identity
+
+FORMAT = "mpdt-run/3"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The names in one folder, which may not exist yet."""
+
+    path: Path
+
+    @property
+    def config(self) -> Path:
+        return self.path / "config.json"
+
+    @property
+    def lock(self) -> Path:
+        return self.path / "run.pid"
+
+    @property
+    def log(self) -> MetricsLog:
+        return MetricsLog(self.path / "metrics.jsonl")
+
+    def checkpoint(self, phase: str) -> Path:
+        return self.path / f"checkpoint-{phase}.safetensors"
+
+    @property
+    def teacher(self) -> Path:
+        return self.path / "teacher.safetensors"
+
+    @property
+    def weights(self) -> Path:
+        return self.path / "weights.safetensors"
+
+    @property
+    def results(self) -> Path:
+        return self.path / "results.json"
+
+    @property
+    def report(self) -> Path:
+        return self.path / "report.md"
+
+    def judged(self, judging: str) -> Path:
+        """Where results of that hash of judging go when others take their place."""
+        return self.path / "judged" / f"{judging[:16]}.json"
+
+
+def locate(runs_dir: Path, name: str) -> RunFolder:
+    """The folder of that name; touches no disk. Raises: UsageError for a bad name."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name):
+        raise UsageError(f"'{name}' cannot name a run", where="--name",
+                         expected="letters, digits, . _ + -")  # fmt: skip
+    return RunFolder(runs_dir / name)
+
+
+def inspect(folder: RunFolder, identity: Identity, restart: bool) -> None:
+    """Whether this run may be in there; changes nothing.
+
+    Args:
+        restart: what an earlier run left may be another's, for it will go.
+    Raises: TrainingError for a folder of another run or of no run at all, FormatError for one
+        whose config.json is damaged, StorageError where the disk would refuse.
+    """
+    path = folder.path
+    with disk(path):
+        existing = next(
+            place for place in (path, *path.absolute().parents) if os.path.lexists(place)
+        )
+        if not existing.is_dir():
+            raise StorageError("a file is in the way", where=str(existing),
+                               expected="a folder", hint=_ELSEWHERE)  # fmt: skip
+        if not os.access(existing, os.R_OK | os.W_OK | os.X_OK):
+            raise StorageError("no permission to write there", where=str(existing), hint=_ELSEWHERE)
+        if existing != path:
+            return
+        if folder.config.exists():
+            if not restart:
+                _compare(folder, identity)
+        elif any(entry.name not in _LEFTOVERS for entry in path.iterdir()):
+            raise TrainingError("this folder holds files but no run", where=str(path),
+                                hint="choose another --name, or move it away")  # fmt: skip
+
+
+@contextmanager
+def claimed(folder: RunFolder, identity: Identity, restart: bool) -> Iterator[None]:
+    """Create the folder or continue in it, and keep every other process out of it.
+
+    Args:
+        restart: throw away what an earlier run left there.
+    Raises: as `inspect`; BusyError with the process id of who is at work there.
+    """
+    inspect(folder, identity, restart)
+    with disk(folder.path):
+        lock = take_lock(
+            folder.lock, "another mpdt-train is at work in this folder", folder.path,
+            "it writes a checkpoint before it ends",
+        )  # fmt: skip
+    try:
+        inspect(folder, identity, restart)  # again: only now nobody else can change it
+        if restart:
+            _clear(folder)
+        stored = {"format": FORMAT, "training": identity.training, "judging": identity.judging}
+        write_atomic(folder.config, (json.dumps(stored, indent=1) + "\n").encode())
+        yield
+    finally:
+        with suppress(OSError):
+            folder.lock.unlink(missing_ok=True)
+            folder.path.rmdir()  # only if nothing was written: a full disk leaves no trace
+        lock.close()
+
+
+def _compare(folder: RunFolder, identity: Identity) -> None:
+    """Raises: TrainingError naming what differs from the training of the run that is there."""
+    stored = _read_config(folder)
+    old, new = stored["training"]["data"], identity.training["data"]
+    for key, what in (("family", "another family"), ("content_hash", "other episodes")):
+        if old.get(key) != new[key]:
+            raise TrainingError(
+                f"the run in this folder was trained on {what}", where=str(folder.path),
+                expected=str(old.get(key))[:12], found=new[key][:12],
+                hint="take the file it was trained on, or keep both with "
+                f"--name {folder.path.name}-2",
+            )  # fmt: skip
+    changed = differences(stored["training"], identity.training)
+    if changed:
+        text = "; ".join(changed[:4]) + (f" and {len(changed) - 4} more" if changed[4:] else "")
+        raise TrainingError(
+            "another run lives in this folder",
+            where=str(folder.path),
+            found=re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1", text),
+            hint=f"keep both with --name {folder.path.name}-2, or begin anew with --restart",
+        )
+
+
+def _read_config(folder: RunFolder) -> dict[str, Any]:
+    """config.json: `training` and `judging`, each with its `data`.
+
+    Raises: TrainingError for what cannot be read or is of another version, FormatError for
+        what is damaged.
+    """
+    try:
+        stored: dict[str, Any] = json.loads(folder.config.read_text(encoding="utf-8"))
+        found = str(stored.get("format"))
+    except (OSError, ValueError, AttributeError) as error:
+        raise TrainingError("unreadable", where=str(folder.config), found=str(error),
+                            hint="begin anew with --restart") from error  # fmt: skip
+    if found != FORMAT:
+        raise TrainingError(
+            "not a run of this version",
+            where=str(folder.config),
+            expected=FORMAT,
+            found=found,
+            hint="choose another --name, or begin anew with --restart",
+        )
+    for part in ("training", "judging"):
+        facts = stored.get(part)
+        if not (isinstance(facts, dict) and isinstance(facts.get("data"), dict)):
+            raise FormatError(f"no object '{part}' with its 'data'", where=str(folder.config),
+                              found=json.dumps(facts)[:40],
+                              hint="begin anew with --restart")  # fmt: skip
+    return stored
+
+
+def stored_settings(path: Path) -> TrainConfig:
+    """The settings of the run in that folder.
+
+    Raises: MissingFileError, TrainingError for what is no run or one of another version,
+        FormatError for one whose config.json is damaged.
+    """
+    folder = RunFolder(path)
+    if not folder.config.exists():
+        raise MissingFileError("no run here", where=str(path),
+                               hint="`mpdt-train --data FILE` makes one")  # fmt: skip
+    stored = _read_config(folder)
+    plain = {**stored["training"], **stored["judging"]}
+    plain.pop("data")
+    try:
+        return from_plain(plain)
+    except SpecError as error:
+        raise FormatError(
+            "the settings of this run are damaged", where=str(folder.config), found=error.found,
+            hint="begin anew with --restart",
+        ) from error  # fmt: skip
+
+
+def _clear(folder: RunFolder) -> None:
+    """Remove everything but the lock; config.json last, so that a kill leaves a run's folder."""
+    with disk(folder.path):
+        for entry in sorted(folder.path.iterdir(), key=lambda entry: entry == folder.config):
+            if entry.is_dir() and not entry.is_symlink():
+                shutil.rmtree(entry)
+            elif entry != folder.lock:
+                entry.unlink()
+
+
+_ELSEWHERE = "choose another --name or --runs-dir"
+# What a kill in the first moment leaves in a new folder.
+_LEFTOVERS = ("run.pid", "config.json.tmp")

@@ -1,0 +1,102 @@
+"""What makes two runs the same: everything they read, in two parts.
+
+    training   settings of training     + episodes, their ids, statistics of the observations
+    judging    name, adapt, few_shot,   + TTA set, presets, references, simulator options
+               statistics, evaluation
+
+Weights are bound to the training part alone, so another judging part judges them anew. A
+setting belongs to training unless it is named here, which at worst trains once too often.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mpdt.train.adapt.align import find_tta_set
+from mpdt.train.fit.data import Material
+from mpdt.train.run.config import TrainConfig, from_plain, to_plain
+
+JUDGING = ("method", "adapt", "few_shot", "statistics", "evaluation")
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Facts as JSON values: settings by their names, hashes of arrays under `data`."""
+
+    training: dict[str, Any]
+    judging: dict[str, Any]
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of each part; what weights and results carry."""
+        return {"training": _hash_facts(self.training), "judging": _hash_facts(self.judging)}
+
+
+def identify(config: TrainConfig, material: Material) -> Identity:
+    """The identity of a run. Raises: as `find_tta_set`, where the run needs that set."""
+    settings = plain_settings(config)
+    judging = {name: settings.pop(name) for name in JUDGING}
+    settings["quality"] = material.quality
+    facts = (
+        settings | {"data": _trained_on(material)},
+        judging | {"data": _judged_on(config, material)},
+    )
+    # As config.json gives them back: lists for tuples.
+    training, judging = json.loads(json.dumps(facts))
+    return Identity(training, judging)
+
+
+def plain_settings(config: TrainConfig) -> dict[str, Any]:
+    """What of a configuration counts, as JSON values."""
+    # The round trip makes 1 and 1.0 of a float setting one.
+    settings = to_plain(from_plain(to_plain(config)))
+    # What plain hardware does belongs to runs from before there was a choice, too.
+    if settings["hardware"] == to_plain(TrainConfig())["hardware"]:
+        del settings["hardware"]
+    return settings
+
+
+def _trained_on(material: Material) -> dict[str, Any]:
+    dataset, stats = material.dataset, material.dataset.stats["observations"]
+    return {
+        "family": dataset.family,
+        "content_hash": dataset.content_hash,
+        "slice": material.slice,
+        "episodes": _hash_arrays(material.episode_ids[row] for row in material.train_rows),
+        "statistics": _hash_arrays([stats["mean"], stats["std"]]),
+    }
+
+
+def _judged_on(config: TrainConfig, material: Material) -> dict[str, Any]:
+    dataset, tasks, x = material.dataset, material.dataset.tasks, {}
+    if config.adapt.needs_set and material.test_rows:
+        chosen = find_tta_set(dataset, material.test_rows, config.adapt)
+        presets = _hash_arrays([chosen.task, chosen.preset_return])
+        x = {"content_hash": chosen.content_hash, "presets": presets}
+    return {
+        "test_tasks": [tasks.names[row] for row in material.test_rows],
+        "tta": x,
+        "references": hashlib.sha256(repr(tasks.references).encode()).hexdigest(),
+        "options": dict(material.options),
+        "horizon": material.horizon,
+    }
+
+
+def _hash_facts(facts: dict[str, Any]) -> str:
+    text = json.dumps(facts, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _hash_arrays(arrays: Iterable[NDArray[Any]]) -> str:
+    state = hashlib.sha256()
+    for array in arrays:
+        state.update(f"{array.dtype.str}{array.shape}".encode())
+        state.update(np.ascontiguousarray(array).tobytes())
+    return state.hexdigest()

@@ -1,0 +1,180 @@
+"""Run the cells of a study one after another; what is done is skipped, what failed is told.
+
+runs/STUDY/CELL/            the run, resumable like any other
+results/STUDY/CELL.json     its results, small: a run counts as done when this is here and
+                            of the same settings and data
+results/STUDY/CELL.prompts.safetensors    P_c and some P_k, to be drawn
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from mpdt.disk import disk
+from mpdt.errors import MissingFileError, MpdtError
+from mpdt.train.evaluate.score import MetricsLog, write_atomic
+from mpdt.train.fit.checkpoint import StopRequest
+from mpdt.train.fit.data import load_material
+from mpdt.train.run.config import TrainConfig, from_plain, to_plain
+from mpdt.train.run.identity import identify, plain_settings
+from mpdt.train.run.methods import apply_method, merge
+from mpdt.train.run.pipeline import run_pipeline
+from mpdt.train.run.presets import get_preset
+from mpdt.train.run.progress import Progress
+from mpdt.train.study.maps import KEPT, keep_prompts
+from mpdt.train.study.plans import Cell
+
+State = Literal["done", "to do", "no data", "failed"]
+CURVE_POINTS = 40
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one cell; `note` says why it is not done."""
+
+    cell: Cell
+    state: State
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Folders of a study: data files, runs, results."""
+
+    data: Path
+    runs: Path
+    results: Path
+
+    def file(self, cell: Cell) -> Path:
+        return self.data / f"{cell.data}.h5"
+
+    def result(self, cell: Cell) -> Path:
+        return self.results / f"{cell.name}.json"
+
+    def prompts(self, cell: Cell) -> Path:
+        return self.results / f"{cell.name}{KEPT}"
+
+
+def configure(cell: Cell) -> TrainConfig:
+    """Preset, then method, then the cell's own changes. Raises: UsageError, SpecError."""
+    plain = to_plain(apply_method(get_preset(cell.preset), cell.method))
+    label = {"method": cell.label} if cell.label else {}
+    return from_plain(merge(plain, {**cell.changes, **label, "seed": cell.seed}))
+
+
+def inspect_cell(cell: Cell, places: Places) -> Outcome:
+    """Whether the cell is done; reads the file's header, trains nothing.
+
+    A file or setting that is refused makes it `failed`.
+    """
+    try:
+        return _look_at(cell, places)
+    except MpdtError as error:
+        return Outcome(cell, "failed", error.message())
+
+
+def _look_at(cell: Cell, places: Places) -> Outcome:
+    config = configure(cell)
+    stored = _read(places.result(cell))
+    try:
+        identity = identify(config, load_material(str(places.file(cell)), config.quality))
+    except MissingFileError:
+        if stored is not None and stored.get("config_hash") == config_hash(config):
+            return Outcome(cell, "done", "data file not here: content not compared")
+        return Outcome(cell, "no data", str(places.file(cell)))
+    if stored is not None and stored.get("identity") == identity.hashes:
+        return Outcome(cell, "done")
+    note = "" if stored is None else "its result is of other settings or data"
+    return Outcome(cell, "to do", note)
+
+
+def run_study(
+    cells: Sequence[Cell],
+    places: Places,
+    progress: Progress,
+    stop: StopRequest,
+    restart: bool = False,
+) -> Iterator[Outcome]:
+    """Each cell's outcome as it comes. Raises: Stopped after a signal; the next call goes on.
+
+    Args:
+        restart: begin every cell anew, the done ones too.
+    """
+    for cell in cells:
+        outcome = inspect_cell(cell, places)
+        if outcome.state == "to do" or (restart and outcome.state == "done"):
+            progress.say(f"{cell.name} {outcome.note}".rstrip())
+            try:
+                _run_cell(cell, places, progress, stop, restart)
+                outcome = Outcome(cell, "done")
+            except MpdtError as error:
+                progress.say(error.render())
+                outcome = Outcome(cell, "failed", error.message())
+        yield outcome
+
+
+def _run_cell(
+    cell: Cell, places: Places, progress: Progress, stop: StopRequest, restart: bool
+) -> None:
+    config = configure(cell)
+    results = run_pipeline(
+        str(places.file(cell)), config, places.runs, cell.name, restart, progress, stop
+    )
+    log = MetricsLog(places.runs / cell.name / "metrics.jsonl").records()
+    extra = {
+        "cell": cell.name,
+        "config_hash": config_hash(config),
+        "curve": _curve(log),
+        "inferred": {r["task"]: r["weights"] for r in log if r["phase"] == "infer"},
+    }
+    with disk(places.results):
+        places.results.mkdir(parents=True, exist_ok=True)
+    keep_prompts(places.runs / cell.name / "weights.safetensors", places.prompts(cell))
+    write_atomic(places.result(cell), encode_cell(results | extra))
+
+
+def config_hash(config: TrainConfig) -> str:
+    """SHA-256 over all settings; whatever it was put together from."""
+    text = json.dumps(plain_settings(config), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def encode_cell(content: Mapping[str, Any]) -> bytes:
+    """JSON with one line per key and one per score: small, and readable as a diff."""
+    lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in content.items()
+             if key != "scores"]  # fmt: skip
+    scores = ",\n".join(json.dumps(score) for score in content["scores"])
+    return ("{\n" + ",\n".join(lines) + f',\n"scores": [\n{scores}\n]\n}}\n').encode()
+
+
+def _curve(log: Sequence[Mapping[str, Any]]) -> dict[str, list[list[float]]]:
+    """At most `CURVE_POINTS` pairs of (update, loss) per phase, the last one among them.
+
+    `teacher`, `student`: action loss. `adapt START`: alignment, mean over the test tasks.
+    """
+    curves: dict[str, list[list[float]]] = {}
+    for record in log:
+        if "action_loss" in record:
+            phase, loss = record["phase"], record["action_loss"]
+        elif record["phase"] == "adapt":
+            phase, loss = f"adapt {record['start']}", float(np.mean(record["losses"]))
+        else:
+            continue
+        curves.setdefault(phase, []).append([record["step"], round(loss, 6)])
+    every = {phase: -(-len(points) // CURVE_POINTS) for phase, points in curves.items()}
+    return {phase: points[::-1][:: every[phase]][::-1] for phase, points in curves.items()}
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return stored if isinstance(stored, dict) else None

@@ -1,0 +1,207 @@
+"""Results of a study -> tables: one row per method, all its seeds together.
+
+    results/STUDY/CELL.json  ──>  per data set: what each method earns on the test tasks,
+                                  what it read of them, and how well the training tasks go
+
+Intervals of a mean return: with several seeds Student's t over the seeds; with one seed its
+evaluation episodes are resampled, which says nothing about other seeds. Of an IQM: the stratified
+bootstrap of its authors, too narrow for a few seeds (`aggregate.py`).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mpdt.train.evaluate.aggregate import iqm, seed_interval, stratified_interval
+from mpdt.train.evaluate.score import MEAN, REFERENCES, Block, Score
+from mpdt.train.evaluate.tables import Table
+from mpdt.train.study.cells import read_cell_files
+from mpdt.train.study.plans import STUDIES
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """One stored result of a study."""
+
+    data: str
+    label: str
+    seed: int
+    scores: tuple[Score, ...]
+    content: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method on one block of tasks, over R seeds; nan where nothing is known."""
+
+    method: str
+    reads: str
+    num_seeds: int
+    mean: float
+    interval: tuple[float, float]
+    iqm: float
+    """Of the normalised returns of all tasks and seeds."""
+    iqm_interval: tuple[float, float]
+    success: float | None
+
+
+def is_study(folder: Path) -> bool:
+    """Whether results of cells lie there, and not those of one run."""
+    return not (folder / "results.json").exists() and any(folder.glob("*.json"))
+
+
+def read_cells(folder: Path) -> list[CellResult]:
+    """All cells of a folder, by name. Raises: FormatError, as `read_cell_files`."""
+    return [
+        CellResult(file.data.name, file.config.method, file.config.seed, file.scores, content)
+        for file, content in read_cell_files(sorted(folder.glob("*.json")))
+    ]
+
+
+def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:
+    """Rows of one data set: references once, then the methods in the order of the cells."""
+    by_method: dict[str, list[list[Score]]] = {}
+    for cell in cells:
+        own: dict[str, list[Score]] = {}
+        for score in cell.scores:
+            if score.block == block:
+                own.setdefault(score.method, []).append(score)
+        for method, scores in own.items():
+            runs = by_method.setdefault(method, [])
+            if method not in REFERENCES or not runs:
+                runs.append(scores)
+    first = [method for method in REFERENCES if method in by_method]
+    return [_row(by_method[m], m) for m in [*first, *(m for m in by_method if m not in first)]]
+
+
+def best_of_each(rows: Sequence[Row]) -> list[Row]:
+    """The references, then of each kind of reading the method that earns most."""
+    best: dict[str, Row] = {}
+    for row in rows:
+        known = best.get(row.reads)
+        if row.method not in REFERENCES and (known is None or row.mean > known.mean):
+            best[row.reads] = row
+    return [row for row in rows if row.method in REFERENCES] + list(best.values())
+
+
+def task_intervals(
+    cells: Sequence[CellResult], block: Block
+) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """task -> method -> mean return and its interval, over seeds as in `summarise`."""
+    found: dict[str, dict[str, list[Score]]] = {}
+    for cell in cells:
+        for score in cell.scores:
+            if score.block == block and score.task != MEAN:
+                found.setdefault(score.task, {}).setdefault(score.method, []).append(score)
+    return {
+        task: {method: _interval_of(method, scores) for method, scores in methods.items()}
+        for task, methods in found.items()
+    }
+
+
+def _interval_of(method: str, scores: Sequence[Score]) -> tuple[float, float, float]:
+    if method in REFERENCES or len(scores) == 1:
+        return (scores[0].mean, *_of_episodes(scores[0]))
+    means = np.array([[score.mean] for score in scores])
+    return (float(means.mean()), *seed_interval(means))
+
+
+def _of_episodes(score: Score) -> tuple[float, float]:
+    """Of one seed; unknown where every task has one episode, which resampling cannot move."""
+    return (score.low, score.high) if score.low < score.high else (math.nan, math.nan)
+
+
+def _row(runs: Sequence[Sequence[Score]], method: str) -> Row:
+    tasks = [score.task for score in runs[0] if score.task != MEAN]
+    means, levels = (_matrix(runs, tasks, name) for name in ("mean", "normalised"))
+    overall = [score for run in runs for score in run if score.task == MEAN]
+    interval = _of_episodes(overall[0])
+    level_interval = (math.nan, math.nan)
+    if len(runs) > 1:
+        interval = seed_interval(means)
+        level_interval = stratified_interval(levels, iqm)
+    shares = [score.success for score in overall if score.success is not None]
+    return Row(
+        method=method, reads=overall[0].reads or "-", num_seeds=len(runs),
+        mean=float(means.mean()), interval=interval, iqm=iqm(levels),
+        iqm_interval=level_interval, success=float(np.mean(shares)) if shares else None,
+    )  # fmt: skip
+
+
+def _matrix(
+    runs: Sequence[Sequence[Score]], tasks: Sequence[str], name: str
+) -> NDArray[np.float64]:
+    """(R, N) of one number of the scores."""
+    at = [{score.task: float(getattr(score, name)) for score in run} for run in runs]
+    return np.array([[run[task] for task in tasks] for run in at])
+
+
+def study_tables(cells: Sequence[CellResult], study: str = "") -> list[Table]:
+    """Two tables per data set; cells of the study without a result stand below as not run."""
+    tables = []
+    for data in dict.fromkeys(cell.data for cell in cells):
+        own = [cell for cell in cells if cell.data == data]
+        present = {f"{cell.data}.{cell.label}.s{cell.seed}" for cell in own}
+        missing = [cell.name for cell in STUDIES.get(study, ()) if cell.data == data]
+        missing = [name for name in missing if name not in present]
+        notes = (f"not run: {', '.join(missing)}",) if missing else ()
+        for block, title in (("test", "test tasks"), ("train", "training tasks")):
+            rows = summarise(own, block)  # type: ignore[arg-type]
+            if rows:
+                tables.append(_table(f"{data}: {title}", rows, block == "test", notes))
+                notes = ()
+    empty = {cell.data for cell in STUDIES.get(study, ())} - {cell.data for cell in cells}
+    if empty and tables:
+        last = tables[-1]
+        note = f"no cell run: {', '.join(sorted(empty))}"
+        tables[-1] = Table(last.title, last.columns, last.rows, (*last.notes, note))
+    return tables
+
+
+def _table(title: str, rows: Sequence[Row], told: bool, notes: tuple[str, ...]) -> Table:
+    has_success = any(row.success is not None for row in rows)
+    columns = ["method", "mean return", "95 % interval", "IQM normalised", "95 % interval "]
+    columns += ["success"] if has_success else []
+    columns += ["reads"] if told else []
+    cells = []
+    for row in rows:
+        line = [row.method, _number(row.mean, 1), _interval(row.interval, 1),
+                _number(row.iqm, 2), _interval(row.iqm_interval, 2)]  # fmt: skip
+        if has_success:
+            line.append("-" if row.success is None else f"{row.success:.0%}")
+        line += [row.reads] if told else []
+        known = row.method in REFERENCES
+        cells.append((*line, "-" if known else str(row.num_seeds)))
+    return Table(title, (*columns, "seeds"), tuple(cells), notes)
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def _interval(ends: tuple[float, float], digits: int) -> str:
+    low, high = (_number(end, digits) for end in ends)
+    return f"[{low}, {high}]" if math.isfinite(sum(ends)) else "-"
+
+
+def cells_csv(cells: Sequence[CellResult]) -> str:
+    """Every score of every cell, one line each."""
+    stream = io.StringIO()
+    fields = ["method", "block", "task", "mean", "low", "high", "normalised", "success", "reads"]
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["data", "cell", "seed", *fields])
+    for cell in cells:
+        for score in cell.scores:
+            values = [getattr(score, field) for field in fields]
+            rounded = [round(v, 4) if isinstance(v, float) else v for v in values]
+            writer.writerow([cell.data, cell.label, cell.seed, *rounded])
+    return stream.getvalue()

@@ -1,0 +1,77 @@
+"""Collections through other engines: the same file, or one clear error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mpdt.data.collect import engine as engines
+from mpdt.data.collect.collect import collect
+from mpdt.data.collect.engine import Courier, RayCluster, decisive_versions
+from mpdt.data.collect.parts import PartsFolder
+from mpdt.data.collect.plan import make_plan
+from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.store.reader import open_dataset
+from mpdt.errors import SimulatorError
+
+Fakes = Callable[..., None]
+
+
+def in_this_process(courier: Any, blocks: Any, address: str | None) -> Any:
+    """A cluster without Ray: the courier does one block after the other, last one first."""
+    return map(courier, reversed(blocks))
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_a_cluster_makes_the_same_file(
+    shared: bool,
+    fakes: Fakes,
+    tiny_spec: DatasetSpec,
+    tiny_file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fakes()
+    monkeypatch.setattr(engines, "map_blocks_ray", in_this_process)
+    cluster = RayCluster(shared_folder=shared)
+    data = collect(tiny_spec, tmp_path / "x.h5", engine=cluster).dataset
+    assert data.content_hash == open_dataset(tiny_file).content_hash
+
+
+def test_a_courier_leaves_nothing_on_its_node(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
+) -> None:
+    fakes()
+    plan = make_plan(tiny_spec)
+    courier = Courier(plan, None)
+    delivery = courier(plan.blocks[0])
+    assert courier._runner is not None
+    assert delivery.content
+    assert not list((courier._runner.folder.path / "blocks").iterdir())
+    home = PartsFolder(tmp_path / "x.h5")
+    with home.locked():
+        path = home.part(plan.blocks[0]).path
+        path.write_bytes(delivery.content)
+        assert len(home.part(plan.blocks[0]).load_episodes()) == plan.blocks[0].rows
+
+
+def test_a_node_of_another_kind_is_refused(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fakes()
+    here = decisive_versions()
+    answers = iter([here, here | {"cpu": "another"}])
+
+    def elsewhere(courier: Any, blocks: Any, address: str | None) -> Any:
+        for block in blocks:
+            delivery = courier(block)
+            delivery.versions.update(next(answers, here))
+            yield delivery
+
+    monkeypatch.setattr(engines, "map_blocks_ray", elsewhere)
+    with pytest.raises(SimulatorError, match="cpu: a node of the cluster would make other bytes"):
+        collect(tiny_spec, tmp_path / "x.h5", engine=RayCluster())
+    assert not (tmp_path / "x.h5").exists()

@@ -1,0 +1,163 @@
+"""Scores and intervals with numbers worked out by hand; the log that can forget."""
+
+import json
+
+import numpy as np
+import pytest
+
+from mpdt.data.reference import UNKNOWN, Reference
+from mpdt.errors import StorageError
+from mpdt.train.evaluate.score import (
+    EXPERT,
+    MEAN,
+    RANDOM,
+    ZERO,
+    MetricsLog,
+    Score,
+    bootstrap,
+    encode_results,
+    expert_scores,
+    normalised,
+    scores_of,
+    with_verdicts,
+    write_atomic,
+)
+from mpdt.train.run.show import scores_in
+
+
+def test_normalised_by_hand():
+    assert normalised(30.0, 10.0, 50.0) == 0.5
+    assert normalised(0.0, 10.0, 50.0) == -0.25
+    assert np.isnan(normalised(1.0, 5.0, 5.0))
+
+
+def test_bootstrap_of_equal_values_is_a_point():
+    assert bootstrap(np.full((2, 5), 3.0)) == (3.0, 3.0)
+
+
+def test_bootstrap_of_two_values_by_hand():
+    """Mean of two draws from {0, 4}: 0, 2, 4 with chances 1/4, 1/2, 1/4, so the 2.5 % and
+    97.5 % points are 0 and 4. Over 2 such tasks 0 and 4 have 1/16 each: still the ends."""
+    assert bootstrap(np.array([[0.0, 4.0]])) == (0.0, 4.0)
+    assert bootstrap(np.array([[0.0, 4.0]] * 2)) == (0.0, 4.0)
+
+
+def test_bootstrap_keeps_tasks_fixed():
+    """Tasks differ by 1000, their seeds do not: resampling tasks would widen the interval."""
+    assert bootstrap(np.array([[0.0, 0.0], [1000.0, 1000.0]])) == (500.0, 500.0)
+
+
+def test_scores_by_hand():
+    scores = scores_of(
+        "train", "MPDT", ["a", "b"],
+        np.array([[10.0, 30.0], [0.0, 0.0]]), np.array([[True, False], [False, False]]),
+        random=np.array([0.0, -10.0]), expert=np.array([40.0, 10.0]),
+    )  # fmt: skip
+    first, second, mean = scores
+    assert (first.mean, first.low, first.high) == (20.0, 10.0, 30.0)
+    assert (first.normalised, first.success, first.num_episodes) == (0.5, 0.5, 2)
+    assert (second.mean, second.normalised, second.success) == (0.0, 0.5, 0.0)
+    assert (mean.task, mean.mean, mean.normalised) == (MEAN, 10.0, 0.5)
+    assert (mean.success, mean.num_episodes) == (0.25, 4)
+
+
+def test_bootstrap_of_tasks_with_other_numbers_of_episodes():
+    """Task a is always 1, task b the mean of two draws from {0, 4}: (1 + 0)/2 to (1 + 4)/2."""
+    assert bootstrap([np.array([1.0]), np.array([0.0, 4.0])]) == (0.5, 2.5)
+
+
+def test_the_expert_by_hand():
+    """Intervals of 1.96 errors: 21 +- 1.96 and 40 +- 3.92; success of b was never counted.
+
+    Mean over tasks 30.5, its error sqrt(1 + 4) / 2.
+    """
+    experts = [Reference(21.0, 1.0, 100, 0.5), Reference(40.0, 2.0, 50)]
+    a, b, mean = expert_scores("test", ["a", "b"], experts, random=np.array([1.0, 40.0]))
+    assert (a.method, a.mean, a.low, a.high, a.success) == (EXPERT, 21.0, 19.04, 22.96, 0.5)
+    assert (a.normalised, a.num_episodes) == (1.0, 100)
+    assert (b.mean, b.low, b.high, b.success) == (40.0, 36.08, 43.92, None)
+    assert np.isnan([b.normalised, mean.normalised]).all(), "random is as good as the expert"
+    assert (mean.task, mean.mean, mean.success, mean.num_episodes) == (MEAN, 30.5, None, 150)
+    assert mean.high - mean.mean == pytest.approx(1.96 * 5**0.5 / 2)
+
+
+def test_an_expert_whose_error_is_not_known_has_no_interval():
+    one, mean = expert_scores("train", ["a"], [Reference(3.0, np.nan, 1)], np.zeros(1))
+    for score in (one, mean):
+        assert score.mean == 3.0 and np.isnan([score.low, score.high]).all()
+
+
+def test_the_expert_of_another_horizon_is_not_measured():
+    one, mean = expert_scores("train", ["a"], [UNKNOWN], np.full(1, np.nan))
+    for score in (one, mean):
+        assert np.isnan([score.mean, score.low, score.normalised]).all()
+        assert score.success is None and score.num_episodes == 0
+
+
+def rated(method, low, high, task="a", block="train", episodes=5):
+    return Score(block=block, task=task, method=method, mean=(low + high) / 2, low=low, high=high,
+                 normalised=0.0, num_episodes=episodes)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("low", "verdict"), [(4.0, True), (3.0, False), (2.0, False), (-9.0, False)]
+)
+def test_verdict_by_hand(low, verdict):
+    """Zero action [0, 3], random [-5, 1]: an interval beats them from above 3."""
+    trivial = [rated(ZERO, 0.0, 3.0), rated(RANDOM, -5.0, 1.0)]
+    *_, score = with_verdicts([*trivial, rated("MPDT", low, 9.0)])
+    assert score.beats_trivial is verdict
+    # Either of the two alone is not enough.
+    *_, score = with_verdicts([rated(RANDOM, 0.0, 3.0), rated(ZERO, -5, 1), rated("x", low, 9.0)])
+    assert score.beats_trivial is verdict
+
+
+def test_verdicts_need_all_intervals_of_the_task():
+    trivial = [rated(ZERO, 0.0, 3.0), rated(RANDOM, 0.0, 1.0)]
+    for scores in (
+        [*trivial, rated("MPDT", 5.0, 9.0, task="b")],
+        [*trivial, rated("MPDT", 5.0, 9.0, block="test")],
+        [*trivial, rated("MPDT", 5.0, 9.0, episodes=1)],
+        [trivial[0], rated(RANDOM, np.nan, np.nan), rated("MPDT", 5.0, 9.0)],
+        [*trivial, rated(EXPERT, 5.0, 9.0)],
+    ):
+        assert all(score.beats_trivial is None for score in with_verdicts(scores))
+
+
+def test_metrics_log_forgets_what_came_after_a_checkpoint(tmp_path):
+    log = MetricsLog(tmp_path / "metrics.jsonl")
+    log.append({"step": 1})
+    size_bytes = log.size_bytes
+    log.append({"step": 2})
+    log.cut(size_bytes)
+    log.append({"step": 3})
+    assert log.records() == [{"step": 1}, {"step": 3}]
+
+
+def test_results_hold_no_nan(tmp_path):
+    nan = float("nan")
+    score = Score(block="test", task="a", method="x", mean=1.0, low=nan, high=nan, normalised=0.5)
+    decoded = json.loads(encode_results({"name": "r"}, [score]))
+    assert decoded["name"] == "r"
+    assert decoded["scores"][0]["low"] is None and decoded["scores"][0]["mean"] == 1.0
+    assert not {"beats_trivial", "reads"} & set(decoded["scores"][0])
+
+
+def test_results_are_read_back(tmp_path):
+    nan = float("nan")
+    said = Score(block="train", task="a", method="x", mean=1.0, low=0.0, high=2.0, normalised=nan,
+                 beats_trivial=False, reads="X")  # fmt: skip
+    (score,) = scores_in(json.loads(encode_results({}, [said])))
+    assert (score.beats_trivial, score.reads) == (False, "X") and np.isnan(score.normalised)
+
+
+def test_atomic_write_replaces_and_cleans_up(tmp_path):
+    target = tmp_path / "a.json"
+    write_atomic(target, b"old")
+    write_atomic(target, b"new")
+    assert target.read_bytes() == b"new" and list(tmp_path.iterdir()) == [target]
+
+
+def test_write_into_a_missing_folder_is_a_storage_error(tmp_path):
+    with pytest.raises(StorageError, match="cannot write"):
+        write_atomic(tmp_path / "gone" / "a.json", b"x")

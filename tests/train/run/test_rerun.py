@@ -1,0 +1,296 @@
+"""The same folder again: judged anew, continued, refused, or busy; adapted without training."""
+
+import json
+import os
+import shutil
+from types import SimpleNamespace
+
+import pytest
+
+from mpdt.train.cli import main
+from mpdt.train.fit.data import load_material
+from mpdt.train.run.config import TrainConfig
+from mpdt.train.run.folder import claimed, locate
+from mpdt.train.run.identity import identify
+
+from .command import QUICK, call, names_in
+
+
+def results_of(folder):
+    return json.loads((folder / "results.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def finished(tiny_file, tmp_path_factory):
+    runs = tmp_path_factory.mktemp("runs")
+    assert call("--data", tiny_file, *QUICK, "--runs-dir", runs, "--name", "r", "-q") == 0
+    return runs / "r"
+
+
+@pytest.fixture
+def again(tiny_file, finished, tmp_path):
+    """A copy of the finished run, and the arguments that made it."""
+    shutil.copytree(finished, tmp_path / "r")
+    return tmp_path / "r", ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r"]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [["--adapt.steps", "3"], ["--evaluation.episodes", "1"], ["--statistics.axes", "position"]],
+)
+def test_other_judging_takes_the_same_weights(again, finished, capsys, changes):
+    folder, arguments = again
+    before = (folder / "weights.safetensors").stat().st_mtime_ns
+    assert call(*arguments, *changes) == 0
+    error = capsys.readouterr().err
+    assert "trained already" in error and "student" not in error.replace("student 20 of", "")
+    assert (folder / "weights.safetensors").stat().st_mtime_ns == before
+    new, old = results_of(folder), results_of(finished)
+    assert (
+        new["config"] != old["config"] and new["identity"]["judging"] != old["identity"]["judging"]
+    )
+    assert new["identity"]["training"] == old["identity"]["training"]
+    assert (new["updates"], new["complete"]) == (old["updates"], True)
+    part, _, key = changes[0].removeprefix("--").partition(".")
+    stored = json.loads((folder / "config.json").read_text())
+    assert str(stored["judging"][part][key]) == changes[1]
+
+
+def test_judged_anew_is_judged_as_at_first(again, finished, capsys):
+    """There and back: the weights on disk are all that judging depends on."""
+    folder, arguments = again
+    assert call(*arguments, "--adapt.steps", 3, "-q") == 0
+    shutil.rmtree(folder / "judged")
+    assert call(*arguments) == 0
+    assert "trained already" in capsys.readouterr().err
+    assert results_of(folder)["scores"] == results_of(finished)["scores"]
+    for name in ("metrics.jsonl", "report.md"):
+        assert (folder / name).read_bytes() == (finished / name).read_bytes(), name
+    shutil.rmtree(folder / "judged")
+    assert names_in(folder) == names_in(finished)
+
+
+def test_an_earlier_judgement_is_kept_until_it_is_made_again(again, finished):
+    folder, arguments = again
+    assert call(*arguments, "--adapt.steps", 3, "-q") == 0
+    (kept,) = (folder / "judged").iterdir()
+    assert kept.read_bytes() == (finished / "results.json").read_bytes()
+    other = (folder / "results.json").read_bytes()
+    assert call(*arguments, "-q") == 0
+    (kept,) = (folder / "judged").iterdir()
+    assert kept.read_bytes() == other
+
+
+class Pair:
+    """The second of two processes; the first one says that the run is done."""
+
+    rank, size, left = 1, 2, False
+
+    def any(self, flags):
+        return [True for _ in flags]
+
+    def leave(self):
+        self.left = True
+
+
+def test_a_finished_run_ends_every_process(again, monkeypatch):
+    from mpdt.train.fit.checkpoint import StopRequest
+    from mpdt.train.run import pipeline
+    from mpdt.train.run.progress import Progress
+
+    folder, arguments = again
+    pair = Pair()
+    monkeypatch.setattr(pipeline.Group, "join", lambda: pair)
+    config = TrainConfig()
+    found = pipeline.run_pipeline(str(arguments[1]), config, folder.parent, "r", False,
+                                  Progress(True), StopRequest())  # fmt: skip
+    assert found == {} and pair.left and not (folder.parent / "r.rank-1").exists()
+
+
+def test_other_data_judge_anew_or_are_refused(again, finished, monkeypatch, capsys):
+    """The same settings on a file whose presets, then whose statistics differ."""
+    from dataclasses import replace
+
+    from mpdt.train.run import pipeline
+
+    _, arguments = again
+
+    def load_with(change):
+        def load(*args):
+            material = load_material(*args)
+            return replace(material, dataset=replace(material.dataset, **change(material.dataset)))
+
+        monkeypatch.setattr(pipeline, "load_material", load)
+
+    def other_presets(dataset):
+        x = dataset.tta["default"]
+        return {"tta": {"default": replace(x, preset_return=x.preset_return + 9)}}
+
+    def other_statistics(dataset):
+        fields = dict(dataset.stats)
+        fields["observations"] = {k: v + 1 for k, v in fields["observations"].items()}
+        return {"stats_info": replace(dataset.stats_info, fields=fields)}
+
+    load_with(other_presets)
+    assert call(*arguments) == 0
+    assert "trained already" in capsys.readouterr().err
+    load_with(other_statistics)
+    assert call(*arguments) == 1
+    assert "found data.statistics: " in capsys.readouterr().err
+
+
+def test_a_damaged_table_is_judged_again(again, finished):
+    folder, arguments = again
+    (folder / "results.json").write_text("{half")
+    assert call(*arguments, "-q") == 0
+    assert results_of(folder)["scores"] == results_of(finished)["scores"]
+
+
+def test_a_changed_depth_is_refused_as_another_run(again, capsys):
+    folder, arguments = again
+    before = names_in(folder)
+    assert call(*arguments, "--backbone.depth", 1, "--adapt.steps", 3) == 1
+    error = capsys.readouterr().err
+    assert "found backbone.depth: null -> 1\n" in error and "--name r-2" in error
+    assert names_in(folder) == before
+
+
+def test_restart_trains_anew(again, capsys):
+    folder, arguments = again
+    (folder / "old").mkdir()
+    assert call(*arguments, "--seed", 1, "--restart") == 0
+    assert "trained already" not in capsys.readouterr().err
+    assert results_of(folder)["config"]["seed"] == 1 and not (folder / "old").exists()
+
+
+def test_a_refused_restart_keeps_what_was_there(again):
+    folder, arguments = again
+    before = names_in(folder)
+    assert call(*arguments, "--restart", "--adapt.layers", 9) == 2
+    assert names_in(folder) == before
+
+
+def test_a_time_limit_is_no_end(tiny_file, finished, tmp_path, capsys):
+    """Cut after one update of each phase, then once more, then to the end of an unbroken run."""
+    folder = tmp_path / "r"
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r"]
+    assert call(*arguments, "--time-limit-s", "1e-9") == 0
+    captured = capsys.readouterr()
+    text = "teacher 1 of 20, student 1 of 20"
+    assert f"training ended by --time-limit-s: {text}" in captured.err
+    assert f"incomplete, ended by a time limit after updates: {text}" in captured.out
+    results = results_of(folder)
+    assert results["complete"] is False
+    assert results["updates"] == {"teacher": 1, "student": 1}
+    assert results["updates_asked"] == {"teacher": 20, "student": 20}
+    lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    assert [(x["phase"], x["step"]) for x in lines[:2]] == [("teacher", 1), ("student", 1)]
+    assert f"- updates: {text} (incomplete" in (folder / "report.md").read_text()
+    assert {"checkpoint-teacher.safetensors", "checkpoint-student.safetensors"} <= {
+        *names_in(folder)
+    }
+    assert call(*arguments, "--time-limit-s", "1e-9") == 0
+    assert results_of(folder)["updates"] == {"teacher": 2, "student": 1}
+    assert call(*arguments) == 0
+    assert "resuming teacher after 2 of 20 updates" in capsys.readouterr().err
+    assert names_in(folder) == names_in(finished), "checkpoints gone"
+    for name in ("metrics.jsonl", "weights.safetensors", "teacher.safetensors", "report.md"):
+        assert (folder / name).read_bytes() == (finished / name).read_bytes(), name
+    whole = results_of(finished)
+    assert {**whole, "seconds": 0} == {**results_of(folder), "seconds": 0}
+    assert whole["complete"] is True
+
+
+def test_a_cut_student_keeps_its_teacher(tiny_file, finished, tmp_path, monkeypatch, capsys):
+    """One second an update, 38 in all: the teacher's half ends behind its update 19, that is
+    with its last one; the student is at update 19 when second 39 comes."""
+    from mpdt.train.run import trainer as run
+
+    folder, seconds = tmp_path / "r", iter(range(100))
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r"]
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
+        assert call(*arguments, "-q", "--evaluation.episodes", 1, "--time-limit-s", 38) == 0
+    assert results_of(folder)["updates"] == {"teacher": 20, "student": 19}
+    assert call(*arguments) == 0
+    assert "resuming student after 19 of 20" in capsys.readouterr().err
+    for name in ("metrics.jsonl", "teacher.safetensors", "weights.safetensors"):
+        assert (folder / name).read_bytes() == (finished / name).read_bytes(), name
+
+
+def test_a_second_process_is_refused_by_name(again, tiny_file, capsys):
+    folder, arguments = again
+    identity = identify(TrainConfig(), load_material(str(tiny_file), "auto"))
+    own = locate(folder.parent, "new")
+    with claimed(own, identity, restart=False):
+        assert call(*arguments[:-1], "new", "--restart") == 4
+        error = capsys.readouterr().err
+        assert f"another mpdt-train is at work in this folder (process {os.getpid()})" in error
+        assert own.config.exists(), "--restart of the refused one removed nothing"
+    assert not own.lock.exists()
+
+
+def test_a_stored_run_is_adapted_and_evaluated_without_training(again, tiny_file, capsys):
+    """`adapt` judges the test tasks alone, `evaluate` all; both leave the weights as they were."""
+    folder, _ = again
+    before = (folder / "weights.safetensors").read_bytes()
+    infer = ["--adapt.starts", "infer", "--adapt.infer.steps", 5]
+    assert call("adapt", folder, "--data", tiny_file, *infer, "-q") == 0
+    scores = results_of(folder)["scores"]
+    assert {s["block"] for s in scores} == {"test"}
+    assert [s["reads"] for s in scores if s["method"] == "MPDT infer"] == ["X+rewards"] * 3
+    assert call("evaluate", folder, "--data", tiny_file, "--evaluation.episodes", 1, "-q") == 0
+    assert {s["block"] for s in results_of(folder)["scores"]} == {"train", "test"}
+    assert (folder / "weights.safetensors").read_bytes() == before
+
+
+def test_adapting_refuses_other_training_and_what_is_no_run(again, tiny_file, tmp_path, capsys):
+    folder, _ = again
+    assert call("adapt", folder, "--data", tiny_file, "--prompts.length", 5) == 1
+    assert "found prompts.length: 4 -> 5" in capsys.readouterr().err
+    assert call("adapt", tmp_path, "--data", tiny_file) == 2
+    assert "no run here" in capsys.readouterr().err
+    (folder / "weights.safetensors").unlink()
+    assert call("evaluate", folder, "--data", tiny_file, "--evaluation.episodes", 1) == 2
+    assert "no trained weights in this run" in capsys.readouterr().err
+
+
+def test_the_published_protocol_has_no_path_to_rewards(again, monkeypatch):
+    """Reading them is an error here: every start but the inferring ones does without."""
+    from mpdt.train.adapt import align as adapt
+    from mpdt.train.adapt import candidates as unseen
+
+    def forbidden(*_):
+        raise AssertionError("rewards of X were read")
+
+    monkeypatch.setattr(unseen, "open_tta_rewards", forbidden)
+    monkeypatch.setattr(adapt, "open_tta_rewards", forbidden)
+    _, arguments = again
+    starts = ["cross", "cross_mean", "cross_one", "cross_random", "none"]
+    assert call(*arguments, "--adapt.starts", *starts, "-q") == 0
+    with pytest.raises(AssertionError, match="rewards of X were read"):
+        main([str(a) for a in (*arguments, "--adapt.starts", "infer", "-q")])
+
+
+def test_another_family_or_other_episodes_are_named(again, tiny_file, monkeypatch, capsys):
+    from dataclasses import replace
+
+    from mpdt.train.run import pipeline
+
+    def load_with(**changes):
+        def load(*args):
+            material = load_material(*args)
+            return replace(material, dataset=replace(material.dataset, **changes))
+
+        monkeypatch.setattr(pipeline, "load_material", load)
+
+    folder, _ = again
+    load_with(family="cheetah_vel")
+    assert call("adapt", folder, "--data", tiny_file) == 1
+    error = capsys.readouterr().err
+    assert "was trained on another family; expected cheetah_dir, found cheetah_vel" in error
+    load_with(content_hash="0" * 64)
+    assert call("adapt", folder, "--data", tiny_file) == 1
+    error = capsys.readouterr().err
+    assert "was trained on other episodes; expected " in error and "found 000000000000" in error
+    assert "take the file it was trained on" in error

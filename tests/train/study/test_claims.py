@@ -1,0 +1,147 @@
+"""Verdicts and goals from rows made by hand."""
+
+from dataclasses import replace
+
+import pytest
+
+from mpdt.train.adapt.candidates import LABELS
+from mpdt.train.evaluate.score import MEAN, Score
+from mpdt.train.report.study_tables import report_tables
+from mpdt.train.study import claims
+from mpdt.train.study.claims import (
+    CLAIMED_OF,
+    CLAIMS,
+    FEW_SHOT,
+    GOALS,
+    Claim,
+    Goal,
+    claims_table,
+    goals_table,
+    judge_claim,
+    qualified_verdict,
+)
+from mpdt.train.study.plans import STUDIES
+from mpdt.train.study.study import configure
+from mpdt.train.study.summary import CellResult, Row
+
+
+def row(low, high, method="m"):
+    return Row(method, "X", 1, (low + high) / 2, (low, high), 0.0, (0.0, 0.0), None)
+
+
+@pytest.mark.parametrize(
+    ("behind", "verdict"),
+    [((1, 2), "confirmed"), ((1, 4), "not confirmed"), ((3, 4), "not confirmed"),
+     ((6, 7), "reversed"), ((4.5, 7), "not confirmed")],
+)  # fmt: skip
+def test_a_verdict_is_two_intervals(behind, verdict):
+    """The one said to be ahead has [3, 5]."""
+    rows = {"a": row(3, 5), "b": row(*behind)}
+    assert judge_claim(rows, Claim("", "d", "a", "b")) == verdict
+    assert judge_claim({"a": row(3, 5)}, Claim("", "d", "a", "b")) == "not run"
+
+
+def test_a_verdict_says_how_few_seeds_it_has_and_whether_anything_was_learnt():
+    """Zero action earns [0, 1]."""
+    three = replace(row(3, 5), num_seeds=3)
+    rows = {"zero action": row(0, 1), "a": three, "b": three, "c": row(1, 2), "d": row(-2, -1)}
+    assert qualified_verdict(rows, Claim("", "d", "a", "b")) == "not confirmed"
+    assert qualified_verdict(rows, Claim("", "d", "a", "c")) == "confirmed, 1 seed of one side"
+    assert qualified_verdict(rows, Claim("", "d", "c", "d")) == "confirmed, 1 seed"
+    below = {**rows, "c": row(-0.5, 0.5)}
+    said = "confirmed, 1 seed, no better than zero action"
+    assert qualified_verdict(below, Claim("", "d", "c", "d")) == said
+    assert qualified_verdict(rows, Claim("", "d", "a", "e")) == "not run"
+
+
+def test_claims_name_rows_that_their_study_makes():
+    """A renamed one would silently be `not run`. On cheetah_vel there are three seeds of each."""
+    seeds = {}
+    for cell in STUDIES[CLAIMED_OF]:
+        config = configure(cell)
+        starts = [LABELS[start] for start in config.adapt.starts if start != "none"]
+        decomposed = config.prompts.kind == "decomposed"
+        for row in (*starts, LABELS["none"] if decomposed else "not adapted"):
+            seeds.setdefault((cell.data, f"{config.method} {row}"), set()).add(cell.seed)
+    for claim in CLAIMS:
+        for name in (claim.ahead, claim.behind):
+            wanted = {0, 1, 2} if claim.data == "cheetah_vel" else {0}
+            assert seeds.get((claim.data, name), set()) >= wanted, (claim.data, name)
+
+
+def score(method, mean, block="test", reads="X", success=None, normalised=0.5):
+    task = [MEAN, "t"]
+    return [
+        Score(block=block, task=name, method=method, mean=mean, low=mean - 1, high=mean + 1,
+              normalised=normalised, success=success, reads=reads if block == "test" else None)
+        for name in task
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def cells():
+    scores = [
+        *score("zero action", 200.0, reads=None), *score("expert", 4000.0, reads=None),
+        *score("A infer", 3700.0, success=0.95, reads="X+rewards"), *score("A few-shot", 3900.0,
+        reads="labelled steps", success=1.0), *score("A", 3800.0, "train", normalised=0.92),
+    ]  # fmt: skip
+    return [CellResult("mt10", "A", 0, tuple(scores), {})]
+
+
+def test_goals_count_only_what_reads_at_most_x_and_rewards(cells):
+    table = goals_table(cells)
+    by_name = {line[0]: line for line in table.rows}
+    assert list(by_name) == [goal.name for goal in GOALS] and by_name["ml10"][1] == "not run"
+    assert by_name["mt10"] == (
+        "mt10", "met", "3600, 90%", "3700.0 [3699.0, 3701.0], 95%",
+        "A infer (X+rewards; seeds: 1; best of 1)", "0.92 of 0.9", "1317.52",
+        "200.0", "-", "-", "4000.0",
+    )  # fmt: skip
+
+
+def test_a_goal_is_missed_by_any_of_its_parts(cells, monkeypatch):
+    for goal in (Goal("mt10", 3701, 0.9, 0.0), Goal("mt10", 3600, 0.93, 0.0),
+                 Goal("mt10", 3600, 0.9, 0.0, success=0.96)):  # fmt: skip
+        monkeypatch.setattr(claims, "GOALS", (goal,))
+        assert goals_table(cells).rows[0][1] == "missed"
+
+
+def test_a_cell_that_judges_again_does_not_reach_a_goal_of_training_tasks(cells, monkeypatch):
+    """B earns more, but what its training tasks earn stands nowhere."""
+    again = CellResult("mt10", "B", 0, tuple(score("B infer", 9000.0, reads="X+rewards")), {})
+    (line,) = goals_table_of(monkeypatch, [*cells, again], Goal("mt10", 3600, 0.9, None))
+    assert line[4].startswith("A infer")
+    (line,) = goals_table_of(monkeypatch, [*cells, again], Goal("mt10", 3600, None, None))
+    assert line[4].startswith("B infer") and line[5] == "-"
+
+
+def goals_table_of(monkeypatch, cells, goal):
+    monkeypatch.setattr(claims, "GOALS", (goal,))
+    return goals_table(cells).rows
+
+
+def test_few_shot_goals_look_at_other_rows(cells, monkeypatch):
+    monkeypatch.setattr(claims, "GOALS", (Goal("mt10", 3900, None, None, reads=FEW_SHOT),))
+    (line,) = goals_table(cells).rows
+    assert (
+        line[0] == "mt10, few-shot"
+        and line[4] == "A few-shot (labelled steps; seeds: 1; best of 1)"
+    )
+    assert line[5:7] == ("0.92", "not public") and line[1] == "met"
+
+
+def test_claims_without_rows_are_not_run(cells):
+    table = claims_table(cells)
+    assert {line[1] for line in table.rows} == {"not run"}
+    assert len(table.rows) == len(CLAIMS)
+
+
+def test_a_study_of_these_data_begins_with_its_verdicts(cells):
+    titles = [table.title for table in report_tables(cells, CLAIMED_OF)]
+    assert titles[:3] == [
+        "Goals on unseen tasks", "Claims of the paper, and ours", "mt10: test tasks",
+    ]  # fmt: skip
+    titles = [table.title for table in report_tables(cells, "try")]
+    assert titles[:2] == ["Goals on unseen tasks", "mt10: test tasks"], "claims name another's rows"
+    other = [CellResult("another", "A", 0, cells[0].scores, {})]
+    assert report_tables(other, "try")[0].title == "another: test tasks"

@@ -1,0 +1,118 @@
+"""Build the wheel, install it outside the checkout and try it there.
+
+    make wheel                             its dependencies are borrowed from .venv: a minute
+    python tools/wheel.py --full      everything is installed from the index: minutes, 1 GB
+
+What is tried: the files inside; in an empty folder `mpdt-data list`, `collect cheetah_dir --smoke`,
+`verify`, `import mpdt`, the help of `mpdt-train`. Prints one line per step; exit code 1 on failure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+DIST = ROOT / "build/dist"
+INSIDE = (
+    "mpdt/datasets.yaml", "mpdt/data/weights/metaworld.json", "mpdt/data/weights/references.json",
+    "mpdt/data/weights/cheetah_dir.safetensors", "mpdt/data/weights/cheetah_vel.safetensors",
+    "mpdt/data/weights/ant_dir.safetensors", "mpdt/data/weights/cheetah_dir.json",
+)  # fmt: skip
+OUTSIDE = ("tests/", "benchmarks/", "docs/", "results/", "constraints.txt")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--full", action="store_true", help="install the dependencies too")
+    options = parser.parse_args()
+    wheel = build()
+    look_inside(wheel)
+    with tempfile.TemporaryDirectory(prefix="mpdt-wheel-") as folder:
+        place = Path(folder)
+        bin_folder = install(wheel, place / "venv", options.full)
+        try_it(bin_folder, place)
+    print(f"works  {wheel.relative_to(ROOT)}   {wheel.stat().st_size / 1e6:.1f} MB")
+    return 0
+
+
+def build() -> Path:
+    """The wheel of the tree as it is."""
+    shutil.rmtree(DIST, ignore_errors=True)
+    run([sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check",
+         "--no-deps", "-w", DIST, ROOT])  # fmt: skip
+    return next(DIST.glob("mpdt-*.whl"))
+
+
+def look_inside(wheel: Path) -> None:
+    """What the code reads at run time is in it, what belongs to the checkout is not."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        missing = [name for name in INSIDE if name not in names]
+        sources = {str(path.relative_to(ROOT)) for path in (ROOT / "mpdt").rglob("*")
+                   if path.is_file() and "__pycache__" not in path.parts}  # fmt: skip
+        missing += sorted(sources - names)
+        surplus = [name for name in names if name.startswith(OUTSIDE)]
+        licence = any(name.endswith("licenses/LICENSE") for name in names)
+        assert archive.read("mpdt/datasets.yaml") == (ROOT / "datasets.yaml").read_bytes()
+    assert not missing and not surplus and licence, (missing, surplus, licence)
+    print(f"inside  {len(names)} files: spec, weights, rates and references among them")
+
+
+def install(wheel: Path, venv: Path, full: bool) -> Path:
+    """A clean environment with the wheel; its folder of programs."""
+    run([sys.executable, "-m", "venv", venv])
+    python = venv / "bin/python"
+    pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    if full:
+        run([*pip, "-c", ROOT / "constraints.txt", wheel])
+    else:
+        run([*pip, "--no-deps", wheel])
+        code = "import sysconfig; print(sysconfig.get_paths()['purelib'])"
+        site = Path(run([python, "-c", code]).strip())
+        # A plain path: .venv's own .pth files, and with them the checkout, are not read.
+        (site / "borrowed.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")
+    return venv / "bin"
+
+
+def try_it(programs: Path, place: Path) -> None:
+    work = place / "work"
+    work.mkdir()
+    code = "import mpdt; print(mpdt.__file__)"
+    where = run([programs / "python", "-c", code], work).strip()
+    assert where.startswith(str(place)), where  # the wheel's own, not the checkout's
+    data = programs / "mpdt-data"
+    steps = [
+        ([data, "list"], "cheetah_dir"),
+        ([data, "info"], "a wheel"),
+        ([data, "collect", "cheetah_dir", "--smoke", "--workers", "0", "-q"], "packed"),
+        ([data, "verify", "cheetah_dir-smoke.h5", "--replay", "1"], "11 passed"),
+        ([data, "plan", "ml10"], "ml10 2"),  # rates and references of Meta-World
+        ([programs / "mpdt-train", "--help"], "mpdt-train"),
+        ([programs / "python", "-m", "mpdt.data.cli", "--version"], "mpdt "),
+    ]
+    for command, expected in steps:
+        found = run(command, work)
+        assert expected in found, (command, found)
+        print("ran    ", command[0].name, *command[1:])
+
+
+def run(command: list[object], folder: Path | None = None) -> str:
+    """Its output; what it says to stderr is shown if it fails."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    done = subprocess.run([*map(str, command)], cwd=folder, env=environment, text=True,
+                          capture_output=True, check=False)  # fmt: skip
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, command))}\n{done.stdout}{done.stderr}")
+    return done.stdout
+
+
+if __name__ == "__main__":
+    sys.exit(main())
