@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from trained import SEED, open_run
 
 from mpdt.errors import MpdtError
+from mpdt.seeding import phase_seed
 from mpdt.train.adapt.candidates import UnseenTasks
 from mpdt.train.adapt.infer import explain, fit_reward_model, read_training_tasks
 from mpdt.train.evaluate.aggregate import mean, stratified_interval
 from mpdt.train.evaluate.rollout import SimulatorCache, evaluate
-from mpdt.train.phases import phase_seed
 
 
 def returns_of(

@@ -84,3 +84,15 @@ class SeedKey:
 
     def at_row(self, row: int) -> SeedKey:
         return replace(self, row=row)
+
+
+PHASES = ("teacher", "student", "statistics", "adapt", "mixing")
+"""Phases of a training run, in the order of their spawn keys: append only."""
+
+
+def phase_seed(seed: int, phase: str) -> int:
+    """Independent batches for each phase: SeedSequence(seed, spawn_key=(number of phase,))."""
+    import numpy as np
+
+    words = np.random.SeedSequence(seed, spawn_key=(PHASES.index(phase),))
+    return int(words.generate_state(1, np.uint32)[0])

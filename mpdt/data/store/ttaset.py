@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,9 +15,9 @@ from mpdt.data.store.columns import GoalTable, StepTable, TaskIndex, write_table
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash, episode_digest
 from mpdt.data.store.sources import TtaSource
-from mpdt.data.store.tables import Bool, Float32
+from mpdt.data.store.tables import Bool, Float32, TtaSet
 from mpdt.disk import disk
-from mpdt.errors import DataError
+from mpdt.errors import DataError, unknown_name
 from mpdt.seeding import Quality
 
 
@@ -91,3 +91,25 @@ def tta_episodes(
             policy=UNKNOWN_POLICY,
             seed_key=(int(key[0]), int(key[1]), int(key[2]), int(key[3]), int(key[4])),
         )
+
+
+def find_tta_set(dataset: Dataset, name: str, rows: Sequence[int]) -> TtaSet:
+    """The set of that name, if it covers all these task rows.
+
+    Raises: DataError for a file without sets or a task without episodes in this one, UsageError
+        for an unknown name.
+    """
+    where = str(dataset.path)
+    if not dataset.tta:
+        raise DataError("no set for test-time adaptation in this file", where=where,
+                        hint=f"give the entry a `tta:` and run: mpdt-data collect {dataset.name}"
+                        ", or skip adaptation: --adapt.starts none")  # fmt: skip
+    if name not in dataset.tta:
+        raise unknown_name("TTA set", name, dataset.tta, where=where)
+    chosen = dataset.tta[name]
+    for row in rows:
+        if not len(chosen.of_task(row)):
+            raise DataError(f"the TTA set '{name}' has no episodes of test task "
+                            f"{dataset.tasks.names[row]}", where=where,
+                            hint="skip adaptation: --adapt.starts none")  # fmt: skip
+    return chosen

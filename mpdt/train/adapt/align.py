@@ -35,8 +35,8 @@ from mpdt.data.slices.windows import (
     gather_windows,
 )
 from mpdt.data.store.reader import Dataset, open_tta_rewards
-from mpdt.data.store.tables import TtaSet
-from mpdt.errors import DataError, TrainingError, UsageError, unknown_name
+from mpdt.data.store.ttaset import find_tta_set
+from mpdt.errors import TrainingError, UsageError
 from mpdt.model.limits import check_at_least
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start, TrainedPrompts
@@ -120,7 +120,7 @@ class AdaptationSet:
     ) -> None:
         self._settings, self._window, self._seed = settings, window, seed
         self._low, self._high = low, high
-        self._set = find_tta_set(dataset, rows, settings)
+        self._set = find_tta_set(dataset, settings.set, rows)
         self._rows = np.asarray(rows, np.int64)
         # A TtaSet holds step arrays and episode columns side by side.
         self.source = _Source(self._set, self._set)
@@ -157,24 +157,6 @@ class AdaptationSet:
             actions=batch.actions.clip(self._low, self._high),
             previous_actions=batch.previous_actions.clip(self._low, self._high),
         )
-
-
-def find_tta_set(dataset: Dataset, rows: Sequence[int], settings: AdaptSettings) -> TtaSet:
-    """The set of that name, if it covers all these task rows."""
-    where = str(dataset.path)
-    if not dataset.tta:
-        raise DataError("no set for test-time adaptation in this file", where=where,
-                        hint=f"give the entry a `tta:` and run: mpdt-data collect {dataset.name}"
-                        ", or skip adaptation: --adapt.starts none")  # fmt: skip
-    if settings.set not in dataset.tta:
-        raise unknown_name("TTA set", settings.set, dataset.tta, where=where)
-    chosen = dataset.tta[settings.set]
-    for row in rows:
-        if not len(chosen.of_task(row)):
-            raise DataError(f"the TTA set '{settings.set}' has no episodes of test task "
-                            f"{dataset.tasks.names[row]}", where=where,
-                            hint="skip adaptation: --adapt.starts none")  # fmt: skip
-    return chosen
 
 
 def unseen_returns(

@@ -18,6 +18,7 @@ from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.policy import PromptPolicy, action_loss
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start
 from mpdt.model.returns import ReturnTable
+from mpdt.seeding import phase_seed
 from mpdt.train.adapt.align import INFERRED, NOT_ADAPTED, AdaptationSet, adapt, unseen_returns
 from mpdt.train.adapt.few_shot import choose_labelled, tune
 from mpdt.train.adapt.infer import (
@@ -33,7 +34,6 @@ from mpdt.train.evaluate.rollout import Controller
 from mpdt.train.evaluate.score import Reads
 from mpdt.train.fit.data import sample_demonstrations
 from mpdt.train.fit.loop import as_batch
-from mpdt.train.phases import phase_seed
 from mpdt.train.run.trainer import Trained, Trainer
 
 DONOR_BATCHES = 4  # of all training tasks, to choose the one whose demonstration stands for all

@@ -14,9 +14,9 @@ from mpdt.model.demonstrations import DemonstrationPrompts, HyperPrompts
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import DecomposedPrompts, MixedPrompts, SharedPrompt, TaughtParts
 from mpdt.model.returns import ReturnTable
+from mpdt.seeding import phase_seed
 from mpdt.train.fit.data import Material, sample_demonstrations
 from mpdt.train.fit.loop import TaskPrompts, as_batch
-from mpdt.train.phases import phase_seed
 from mpdt.train.run.config import TrainConfig
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mpdt.train.adapt.align import find_tta_set
+from mpdt.data.store.ttaset import find_tta_set
 from mpdt.train.fit.data import Material
 from mpdt.train.run.config import TrainConfig, from_plain, to_plain
 
@@ -77,7 +77,7 @@ def _trained_on(material: Material) -> dict[str, Any]:
 def _judged_on(config: TrainConfig, material: Material) -> dict[str, Any]:
     dataset, tasks, x = material.dataset, material.dataset.tasks, {}
     if config.adapt.needs_set and material.test_rows:
-        chosen = find_tta_set(dataset, material.test_rows, config.adapt)
+        chosen = find_tta_set(dataset, config.adapt.set, material.test_rows)
         presets = _hash_arrays([chosen.task, chosen.preset_return])
         x = {"content_hash": chosen.content_hash, "presets": presets}
     return {

@@ -30,13 +30,13 @@ from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import Start, TrainedPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.model.weights import load_weights
+from mpdt.seeding import phase_seed
 from mpdt.train.adapt.align import AdaptationSet, unseen_returns
 from mpdt.train.adapt.candidates import UnseenTasks
 from mpdt.train.evaluate.rollout import Controller
 from mpdt.train.fit.checkpoint import StopRequest, Subject
 from mpdt.train.fit.data import load_material
 from mpdt.train.fit.loop import make_optimizer
-from mpdt.train.phases import phase_seed
 from mpdt.train.run.folder import RunFolder, stored_settings
 from mpdt.train.run.identity import identify
 from mpdt.train.run.progress import Progress

@@ -25,6 +25,7 @@ from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import MixedPrompts, TaughtParts, TeacherPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.model.weights import WeightsHeader, load_weights, save_weights
+from mpdt.seeding import phase_seed
 from mpdt.train.adapt.infer import read_training_tasks
 from mpdt.train.fit.checkpoint import Checkpoint, Stopped, StopRequest, Subject
 from mpdt.train.fit.data import Ids, Material, return_table
@@ -33,7 +34,6 @@ from mpdt.train.fit.group import ALONE, Group
 from mpdt.train.fit.loop import Prompts, TaskPrompts, fit, make_optimizer
 from mpdt.train.fit.mixing import held_out_mixtures
 from mpdt.train.fit.teacher import Teacher
-from mpdt.train.phases import phase_seed
 from mpdt.train.run.config import TrainConfig, to_plain
 from mpdt.train.run.first_prompts import untrained_prompts
 from mpdt.train.run.fit_check import check_fits

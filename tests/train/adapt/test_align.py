@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from mpdt.data.store.reader import open_tta_rewards
+from mpdt.data.store.ttaset import find_tta_set
 from mpdt.errors import DataError, TrainingError, UsageError
 from mpdt.model.backbone import load_backbone
 from mpdt.model.policy import PromptPolicy
@@ -16,7 +17,6 @@ from mpdt.train.adapt.align import (
     AdaptSettings,
     adapt,
     alignment_loss,
-    find_tta_set,
     unseen_returns,
 )
 from mpdt.train.adapt.statistics import LayerStatistics
@@ -182,9 +182,9 @@ def test_target_of_unseen_tasks():
 def test_refusals(dataset, medium_file, policy, trained):
     bare = load_material(str(medium_file), "auto").dataset
     with pytest.raises(DataError, match="no set for test-time adaptation"):
-        find_tta_set(bare, (0,), SETTINGS)
+        find_tta_set(bare, "default", (0,))
     with pytest.raises(UsageError, match=r"unknown TTA set 'defalt' \(did you mean 'default'"):
-        find_tta_set(dataset, (0,), AdaptSettings(set="defalt"))
+        find_tta_set(dataset, "defalt", (0,))
     settings = AdaptSettings(layers=(2,))
     with pytest.raises(UsageError, match=r"adapt.layers: no such layer; expected 0 to 1"):
         adapt(policy, trained, "cross", unseen(dataset), RETURNS, source(policy), settings,
