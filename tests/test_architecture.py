@@ -90,6 +90,46 @@ def test_no_global_random_generator_is_used(path: Path) -> None:
     assert not global_draws(path.read_text())
 
 
+MADE_IN_SEEDING = {  # by the last names of whatever is called
+    *("PCG64", "SeedSequence", "default_rng", "RandomState", "manual_seed", "fork_rng"),
+    *("random.Generator", "torch.Generator", "seeding.np_random"),
+}
+
+
+def made_generators(source: str) -> list[str]:
+    """Calls in `source` that make or seed a generator, which is for `mpdt/seeding.py` to do."""
+    called = [ast.unparse(n.func) for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Call)]
+    return [
+        name for name in called if any(f".{name}".endswith(f".{own}") for own in MADE_IN_SEEDING)
+    ]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_generators_are_made_in_one_file(path: Path) -> None:
+    """So that every stream has a name there and no two users share one by accident."""
+    made = made_generators(path.read_text())
+    assert bool(made) == (path == ROOT / "mpdt/seeding.py"), made
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("np.random.Generator(np.random.PCG64(0))", ["np.random.Generator", "np.random.PCG64"]),
+        ("PCG64(0)", ["PCG64"]),
+        ("numpy.random.SeedSequence([1, 2])", ["numpy.random.SeedSequence"]),
+        ("torch.Generator().manual_seed(0)", ["torch.Generator().manual_seed", "torch.Generator"]),
+        ("with torch.random.fork_rng(devices=[]): ...", ["torch.random.fork_rng"]),
+        ("gymnasium.utils.seeding.np_random(0)", ["gymnasium.utils.seeding.np_random"]),
+        ("def f(g: np.random.Generator) -> torch.Generator: ...", []),
+        ("seeding.generator_of(0)", []),
+        ("key.generator(Stream.GOAL)", []),
+        ("collections.abc.Generator()", []),
+    ],
+)
+def test_the_search_for_made_generators(source: str, found: list[str]) -> None:
+    assert made_generators(source) == found
+
+
 @pytest.mark.parametrize(
     ("source", "found"),
     [

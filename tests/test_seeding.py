@@ -3,8 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+import torch
+from gymnasium.utils import seeding
 
-from mpdt.seeding import Quality, SeedKey, Stream
+from mpdt.seeding import (
+    PHASES,
+    Beside,
+    Quality,
+    SeedKey,
+    Stream,
+    generator_at,
+    generator_of,
+    layers_from,
+    phase_seed,
+    torch_generator,
+    torch_generator_at,
+)
 
 KEY = SeedKey(seed=20240901, family=0, task=1, quality=Quality.EXPERT, block=3, row=4)
 
@@ -60,3 +75,34 @@ def test_stored_codes_never_change() -> None:
         "REFERENCE_CONSTANT": 12,
     }
     assert [int(stream) for stream in Stream] == [0, 1, 2, 3]
+
+
+def test_streams_of_training_keep_their_numbers() -> None:
+    """Drawn with numpy and torch alone, before these functions were written."""
+    assert KEY.generator(Stream.GOAL).integers(1000, size=4).tolist() == [736, 171, 17, 2]
+    assert generator_of(5).integers(1000, size=4).tolist() == [670, 805, 22, 807]
+    assert generator_at(5, 7).integers(1000, size=4).tolist() == [301, 512, 846, 292]
+    shown = generator_at(5, 7, Beside.DEMONSTRATION)
+    assert shown.integers(1000, size=4).tolist() == [944, 967, 303, 428]
+    assert torch_generator_at(5, 7, Beside.DROPOUT).initial_seed() == 8669751424075416578
+    drawn = torch.randint(1000, (4,), generator=torch_generator(5))
+    assert drawn.tolist() == [411, 814, 767, 885]
+    assert [phase_seed(5, phase) for phase in PHASES] == [
+        803261128, 3767054407, 3210010690, 2928346150, 3860361780,
+    ]  # fmt: skip
+
+
+def test_an_environment_is_seeded_as_gymnasium_does() -> None:
+    ours, theirs = generator_of(11), seeding.np_random(11)[0]
+    assert ours.bit_generator.state == theirs.bit_generator.state
+    assert generator_of(None).random() != generator_of(None).random()
+
+
+def test_layers_start_from_their_seed_and_leave_the_global_generator_alone() -> None:
+    before = torch.random.get_rng_state()
+    with layers_from(5):
+        first = torch.nn.Linear(2, 2).weight
+    with layers_from(5):
+        again = torch.nn.Linear(2, 2).weight
+    assert torch.equal(first, again) and torch.equal(before, torch.random.get_rng_state())
+    assert first[0, 0].item() == pytest.approx(0.4670467, rel=1e-5)

@@ -16,7 +16,6 @@ from __future__ import annotations
 import copy
 from dataclasses import replace
 
-import numpy as np
 import torch
 from einops import rearrange
 from torch import Tensor, nn
@@ -24,6 +23,7 @@ from torch import Tensor, nn
 from mpdt.model.policy import PolicyBatch, embed
 from mpdt.model.returns import ReturnTable
 from mpdt.model.tokens import InputMap
+from mpdt.seeding import Beside, generator_at, layers_from, torch_generator
 
 
 class DemonstrationPrompts(nn.Module):
@@ -67,8 +67,7 @@ class DemonstrationPrompts(nn.Module):
         rows = torch.arange(num_tasks) if rows is None else rows
         pick = torch.zeros(len(rows), dtype=torch.long)
         if step is not None:
-            words = np.random.SeedSequence([self._seed, step], spawn_key=(2,))
-            generator = np.random.Generator(np.random.PCG64(words))
+            generator = generator_at(self._seed, step, Beside.DEMONSTRATION)
             pick = torch.from_numpy(generator.integers(num, size=len(rows)))
         shown = replace(
             self._bank,
@@ -98,11 +97,10 @@ class HyperPrompts(DemonstrationPrompts):
         seed: int = 0,
     ) -> None:
         super().__init__(inputs, bank, returns, seed)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
+        with layers_from(seed):
             last = nn.Linear(width, 2 * rank * width)
             self.net = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.GELU(), last)
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch_generator(seed)
         self.layers = nn.Parameter(torch.randn((num_layers, width), generator=generator))
         with torch.no_grad():
             last.weight[rank * width :] = 0

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from mpdt.errors import BackboneError, nearest
 from mpdt.model.hub import UnreachableError, is_local, quiet, unreachable
+from mpdt.seeding import layers_from
 
 DtypeName = Literal["auto", "float32", "bfloat16"]
 
@@ -133,8 +134,7 @@ def _random(name: str, depth: int | None, seed: int) -> tuple[str, Any]:
     from transformers import AutoConfig, AutoModel
 
     config = _truncate(AutoConfig.for_model(**_SHAPES[shape]), depth, name)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
+    with layers_from(seed):
         model = AutoModel.from_config(config, dtype=torch.float32)
     return f"random:{shape}", model
 

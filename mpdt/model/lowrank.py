@@ -12,6 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from mpdt.seeding import torch_generator
+
 _PROJECTIONS = ("c_attn", "q_proj", "k_proj", "v_proj")  # GPT-2's; Llama's
 
 
@@ -32,7 +34,7 @@ class LowRank(nn.Module):
 
 def add_low_rank(model: nn.Module, rank: int, alpha: float, seed: int) -> None:
     """Put a `LowRank` on every attention projection of `model`, in the order of its modules."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch_generator(seed)
     for name, module in list(model.named_modules()):
         if name.rpartition(".")[2] in _PROJECTIONS:
             weight = module.weight

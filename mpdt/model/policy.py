@@ -21,6 +21,7 @@ from mpdt.model.prefix import PrefixCache
 from mpdt.model.returns import ReturnTable
 from mpdt.model.tokens import InputMap, InputSettings
 from mpdt.model.weights import check_shapes
+from mpdt.seeding import layers_from
 
 
 class HeadSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -203,8 +204,7 @@ def _build_head(settings: HeadSettings, width: int, action_size: int, seed: int)
     layers: list[nn.Module] = []
     if settings.layer_norm:
         layers.append(nn.LayerNorm(width, elementwise_affine=settings.affine))
-    with torch.random.fork_rng(devices=[]):  # the layers below draw from the global generator
-        torch.manual_seed(seed)
+    with layers_from(seed):
         if hidden:
             layers += [nn.Linear(width, hidden), nn.GELU()]
         layers.append(nn.Linear(hidden or width, action_size))

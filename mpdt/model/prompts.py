@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from typing import Literal, Protocol
 
 import msgspec
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from mpdt.errors import ShapeError, SpecError
 from mpdt.model.limits import check_above_zero, check_at_least
+from mpdt.seeding import generator_at, torch_generator
 
 Start = Literal[
     "cross", "cross_mean", "cross_random", "cross_one", "none", "infer", "infer_aligned"
@@ -91,7 +91,7 @@ class DecomposedPrompts(nn.Module):
             # The product of independent entries with spreads a, 1 and 1 summed over r terms
             # has spread a * sqrt(r).
             std = spread / settings.rank**0.5 if settings.task_init == "normal" else spread
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch_generator(seed)
         length, rank = settings.length, settings.rank
 
         def normal(*shape: int) -> Tensor:
@@ -132,8 +132,7 @@ class MixedPrompts(DecomposedPrompts):
         if self._mixtures is None or step is None:
             return super().task_prompts(rows)
         chosen = range(len(self._mixtures)) if rows is None else rows.tolist()
-        words = np.random.SeedSequence([self._seed, step])
-        generator = np.random.Generator(np.random.PCG64(words))
+        generator = generator_at(self._seed, step)
         weights = torch.zeros(len(chosen), len(self._mixtures))
         for slot, k in enumerate(chosen):
             mixed, which = generator.random() < self._share, generator.random()
@@ -158,7 +157,7 @@ class TaughtParts(nn.Module):
         self, settings: PromptSettings, num_tasks: int, width: int, spread: float, seed: int = 0
     ) -> None:
         super().__init__()
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch_generator(seed)
         self.cross = nn.Parameter(torch.randn((settings.length, width), generator=generator))
         self.register_buffer("parts", torch.zeros(num_tasks, settings.length, width))
 
@@ -185,7 +184,7 @@ class TeacherPrompts(nn.Module):
     ) -> None:
         super().__init__()
         std = spread if settings.init_std == "embedding" else settings.init_std
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch_generator(seed)
         start = torch.randn((num_tasks, settings.length, width), generator=generator)
         self.prompts = nn.Parameter(float(std) * start)
 
@@ -208,7 +207,7 @@ class SharedPrompt(nn.Module):
         super().__init__()
         length = 0 if settings.kind == "none" else settings.length
         std = spread if settings.init_std == "embedding" else settings.init_std
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch_generator(seed)
         start = float(std) * torch.randn((length, width), generator=generator)
         self.cross = nn.Parameter(start, requires_grad=length > 0)
         self._num_tasks = num_tasks
@@ -268,7 +267,7 @@ class AdaptedPrompts(nn.Module):
         self.cross = nn.Parameter(cross, requires_grad=tunes_cross)
         parts = trained.task_parts().detach()
         if start == "cross_random":
-            generator = torch.Generator().manual_seed(seed)
+            generator = torch_generator(seed)
             length, width = trained.cross.shape
             rank = getattr(trained, "task_v", parts).shape[-1]
             v = torch.randn((num_tasks, length, rank), generator=generator)

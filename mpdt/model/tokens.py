@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from mpdt.errors import BackboneError, ShapeError, SpecError, UsageError
 from mpdt.model.limits import check_above_zero, check_at_least
+from mpdt.seeding import layers_from, torch_generator
 
 STD_FLOOR = 1e-6  # Prompt-DT's; keeps columns that never move from dividing by zero
 _MIN_RESIDUAL = 0.25  # share of a row's norm outside the span of the rows before it
@@ -204,8 +205,7 @@ class TokenMap(nn.Module):
             # LaMo (Shi et al. 2023), ResidualBlock: skip(x) + fc2(gelu(fc1(x))). fc2 from zero,
             # so that it starts where the other kinds do.
             width = rows.shape[1]
-            with torch.random.fork_rng(devices=[]):
-                torch.manual_seed(seed)
+            with layers_from(seed):
                 last = nn.Linear(width, width)
                 self.block = nn.Sequential(nn.Linear(rows.shape[0], width), nn.GELU(), last)
             nn.init.zeros_(last.weight)
@@ -228,7 +228,7 @@ def word_rows(
     if settings.start == "words":
         rows = word_embeddings[choose_rows(word_embeddings, num)] - centre
     else:
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch_generator(seed)
         rows = torch.randn((num, word_embeddings.shape[1]), generator=generator)
     return settings.scale * size * rows / rows.norm(dim=1, keepdim=True), centre
 

@@ -33,9 +33,10 @@ from mpdt.model.prompts import (
     TeacherPrompts,
 )
 from mpdt.model.tokens import InputSettings, word_rows
+from mpdt.seeding import Beside, torch_generator_at
 from mpdt.train.adapt import align
 from mpdt.train.adapt.few_shot import choose_labelled
-from mpdt.train.fit import data, loop
+from mpdt.train.fit import data
 
 SEED = 5
 WIDTH = 64
@@ -113,7 +114,7 @@ def windows(_: Path) -> list[Any]:
 
 
 def dropout(_: Path) -> list[int]:
-    return [loop._dropout_generator(SEED, step).initial_seed() for step in (0, 7)]
+    return [torch_generator_at(SEED, step, Beside.DROPOUT).initial_seed() for step in (0, 7)]
 
 
 def demonstrations(tiny_file: Path) -> list[Any]:
@@ -150,7 +151,7 @@ def donors(_: Path) -> list[int]:
         with pytest.raises(StopIteration):
             align.adapt(
                 policy, trained, "cross_one", None, [0] * 4, None, settings, "channel", SEED
-            )  # type: ignore[arg-type]  # noqa: E501
+            )  # type: ignore[arg-type]
     found: list[int] = taken[0].argmax(dim=1).tolist()
     return found
 
@@ -182,7 +183,7 @@ def intervals(_: Path) -> list[float]:
 
 
 def phases(_: Path) -> list[int]:
-    from mpdt.train.phases import PHASES, phase_seed
+    from mpdt.seeding import PHASES, phase_seed
 
     return [phase_seed(SEED, phase) for phase in PHASES]
 

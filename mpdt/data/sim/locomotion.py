@@ -1,7 +1,7 @@
 """Cheetah and ant, many episodes side by side, stepped natively by `mujoco.rollout`.
 
 Bit-identical to one `LocomotionEnv` per row (`locomotion_env.py`): the warm start is off,
-the reset noise comes from gymnasium's own seeding function, and rewards are float64.
+the reset noise comes from the generator that gymnasium would seed, and rewards are float64.
 """
 
 from __future__ import annotations
@@ -10,14 +10,13 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
-from gymnasium.utils import seeding
 from mujoco import rollout
 from numpy.typing import NDArray
 
 from mpdt.data.sim.batch import Play, StepResult
 from mpdt.data.sim.robots import FRAME_SKIP, RESET_NOISE, ROBOTS, reward_rule
 from mpdt.data.spec.tasks import Family, Task
-from mpdt.seeding import SeedKey
+from mpdt.seeding import SeedKey, generator_of
 
 Floats = NDArray[np.float64]
 
@@ -79,7 +78,7 @@ class LocomotionBatch:
 
     def reset_row(self, row: int, seed: int, goal: float) -> None:
         """Start a new episode in one row, leaving the others where they are."""
-        self.start_row(row, seeding.np_random(seed)[0], goal)
+        self.start_row(row, generator_of(seed), goal)
 
     def start_row(self, row: int, generator: np.random.Generator, goal: float) -> None:
         """`reset_row` with noise from a generator that may have been drawn from before."""

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from mpdt.data.sim.locomotion import LocomotionBatch
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import UsageError
+from mpdt.seeding import generator_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -91,7 +91,7 @@ class LocomotionVector(VectorEnv[Floats, NDArray[np.float32], NDArray[Any]]):
         for row in range(self.num_envs):
             own = None if seeds is None else seeds[row]
             if own is not None:
-                self._generators[row] = seeding.np_random(own)[0]
+                self._generators[row] = generator_of(own)
             self._start(row)
         return self._batch.observations(), {}
 
@@ -115,6 +115,6 @@ class LocomotionVector(VectorEnv[Floats, NDArray[np.float32], NDArray[Any]]):
     def _start(self, row: int) -> None:
         generator = self._generators[row]
         if generator is None:  # never seeded: as gymnasium's own environments, from the system
-            generator = self._generators[row] = seeding.np_random()[0]
+            generator = self._generators[row] = generator_of(None)
         self._batch.start_row(row, generator, self._goals[row])
         self._elapsed[row], self._over[row] = 0, False

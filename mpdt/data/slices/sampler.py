@@ -27,6 +27,7 @@ from mpdt.data.slices.windows import (
     gather_windows,
 )
 from mpdt.errors import DataError, UsageError
+from mpdt.seeding import generator_at
 
 
 class SamplerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -112,7 +113,7 @@ class WindowSampler:
 
     def batch(self, step: int) -> WindowBatch:
         """The windows of update `step`: (n, M, K, ...), the same on every call."""
-        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([self.seed, step])))
+        generator = generator_at(self.seed, step)
         slots = self._slots(step, generator)
         episodes = np.empty((len(slots), self.per_task), np.int64)
         starts = np.empty_like(episodes)

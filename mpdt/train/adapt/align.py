@@ -41,6 +41,7 @@ from mpdt.model.limits import check_at_least
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start, TrainedPrompts
 from mpdt.model.returns import ReturnTable
+from mpdt.seeding import generator_at
 from mpdt.train.adapt.infer import InferSettings
 from mpdt.train.adapt.statistics import LayerStatistics, moments
 from mpdt.train.fit.loop import as_batch
@@ -137,8 +138,7 @@ class AdaptationSet:
 
     def batch(self, step: int) -> WindowBatch:
         """Windows (n, M, K, ...) of adaptation step `step`: a pure function of (seed, step)."""
-        words = np.random.SeedSequence([self._seed, step])
-        generator = np.random.Generator(np.random.PCG64(words))
+        generator = generator_at(self._seed, step)
         M = self._settings.windows
         picks = [
             generator.choice(len(ids), size=M, replace=len(ids) < M) for ids, _ in self._covers
@@ -211,7 +211,7 @@ def adapt(
                          found=str(settings.layers))  # fmt: skip
     n = len(returns)
     if start == "cross_one" and weights is None:
-        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, n])))
+        generator = generator_at(seed, n)
         num_tasks = len(trained.task_parts())
         donors = torch.from_numpy(generator.integers(num_tasks, size=n))
         weights = torch.nn.functional.one_hot(donors, num_tasks).to(torch.float32)

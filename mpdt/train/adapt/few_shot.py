@@ -29,6 +29,7 @@ from mpdt.model.limits import check_above_zero, check_at_least
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start
 from mpdt.model.returns import ReturnTable
+from mpdt.seeding import generator_at
 from mpdt.train.fit.loop import OptimiserSettings, fit, make_optimizer
 
 Label = Literal["expert", "medium", "random", "mixed"]
@@ -101,7 +102,7 @@ def choose_labelled(
     ids: dict[int, NDArray[np.int64]] = {}
     levels = _LEVELS[quality]
     for row in rows:
-        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, row])))
+        generator = generator_at(seed, row)
         chosen: list[int] = []
         for number, level in enumerate(levels):
             wanted = num_steps // len(levels) + (number < num_steps % len(levels))

@@ -29,6 +29,7 @@ from torch import Tensor, nn
 from mpdt.data.slices.windows import WindowSource
 from mpdt.errors import TrainingError
 from mpdt.model.limits import check_above_zero, check_at_least
+from mpdt.seeding import generator_at, layers_from
 from mpdt.train.fit.data import Material
 
 Ids = NDArray[np.int64]
@@ -115,8 +116,7 @@ class RewardModel(nn.Module):
             ("reward_std", max(float(rewards.std(dtype=np.float64)), 1e-6)),
         ):  # fmt: skip
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32))
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
+        with layers_from(seed):
             self.net = nn.Sequential(
                 nn.Linear(inputs.shape[1], hidden), nn.GELU(),
                 nn.Linear(hidden, hidden), nn.GELU(), nn.Linear(hidden, len(tasks)),
@@ -147,7 +147,7 @@ def fit_reward_model(
     optimizer = torch.optim.AdamW(model.parameters(), lr=settings.lr, weight_decay=1e-4)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.steps)
     for step in range(settings.steps):
-        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, step])))
+        generator = generator_at(seed, step)
         pick = torch.from_numpy(generator.integers(len(rewards), size=settings.batch))
         found = model(inputs[pick]).gather(1, column[pick, None])[:, 0]
         loss = ((found - rewards[pick]) / model.reward_std).square().mean()

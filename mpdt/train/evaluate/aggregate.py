@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.seeding import generator_of
+
 RESAMPLES = 2000
 Statistic = Callable[[NDArray[Any]], float]
 
@@ -59,9 +61,9 @@ def stratified_interval(
     scores: NDArray[Any], statistic: Statistic = iqm, seed: int = 0
 ) -> tuple[float, float]:
     """95 % percentile interval of `statistic` over scores (R, N); every task keeps R runs."""
-    generator = np.random.Generator(np.random.PCG64(seed))
+    draws = generator_of(seed)
     runs, tasks = scores.shape
-    picks = generator.integers(runs, size=(RESAMPLES, runs, tasks))
+    picks = draws.integers(runs, size=(RESAMPLES, runs, tasks))
     drawn = np.take_along_axis(scores[None], picks, axis=1)
     low, high = np.quantile([statistic(each) for each in drawn], [0.025, 0.975])
     return float(low), float(high)

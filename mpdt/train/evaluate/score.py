@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.reference import Reference
 from mpdt.errors import StorageError
+from mpdt.seeding import generator_of
 
 RESAMPLES = 2000
 
@@ -65,10 +66,10 @@ def bootstrap(
     Seeds are resampled inside each task. Source: Efron & Tibshirani 1993, chapter 13
     (percentile interval); too narrow for a handful of seeds, and honest about ties.
     """
-    generator = np.random.Generator(np.random.PCG64(seed))
+    draws = generator_of(seed)
     means = np.zeros(RESAMPLES)
     for own in values:
-        picks = generator.integers(len(own), size=(RESAMPLES, len(own)))
+        picks = draws.integers(len(own), size=(RESAMPLES, len(own)))
         means += own[picks].mean(axis=1) / len(values)
     low, high = np.quantile(means, [0.025, 0.975])
     return float(low), float(high)

@@ -23,7 +23,7 @@ from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.data.store.reader import Dataset, open_dataset, parse_ref
 from mpdt.errors import DataError, unknown_name
 from mpdt.model.returns import ReturnTable
-from mpdt.seeding import SeedKey
+from mpdt.seeding import SeedKey, generator_at
 
 Ids = NDArray[np.int64]
 AUTO, ALL = "auto", "all"
@@ -182,7 +182,7 @@ def sample_demonstrations(
     for row in material.train_rows if rows is None else rows:
         own = material.dataset.select(task=row, quality="expert")
         own = own if rows is not None else material.episode_ids[row]
-        generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, row])))
+        generator = generator_at(seed, row)
         long = own[lengths[own] >= steps]
         if not len(long):
             raise DataError(f"no episode of {dataset.tasks.names[row]} is as long as a prompt",

@@ -17,7 +17,6 @@ from collections.abc import Callable
 from typing import Literal, cast
 
 import msgspec
-import numpy as np
 import torch
 from torch import nn
 
@@ -35,6 +34,7 @@ from mpdt.model.prompts import (
     TeacherPrompts,
 )
 from mpdt.model.returns import ReturnTable
+from mpdt.seeding import Beside, torch_generator_at
 from mpdt.train.fit.device import PROCESSOR, Hardware
 from mpdt.train.fit.teacher import Teacher
 
@@ -122,7 +122,7 @@ def fit(
             of_tasks, task_prompts = returns.select(slots), prompts.task_prompts(slots, step)
             output = policy(
                 batch, task_prompts, of_tasks,
-                generator=_dropout_generator(sampler.seed, step),
+                generator=torch_generator_at(sampler.seed, step, Beside.DROPOUT),
                 layer_features=teacher is not None and teacher.needs_features,
             )  # fmt: skip
             assert batch.actions is not None
@@ -182,12 +182,6 @@ def rate_factor(settings: OptimiserSettings, step: int, num_steps: int) -> float
     if settings.schedule == "cosine":
         factor *= 0.5 * (1 + math.cos(math.pi * step / num_steps))
     return factor
-
-
-def _dropout_generator(seed: int, step: int) -> torch.Generator:
-    """A stream of its own (spawn key 1), apart from the windows of the same step."""
-    words = np.random.SeedSequence([seed, step], spawn_key=(1,)).generate_state(1, np.uint64)
-    return torch.Generator().manual_seed(int(words[0] >> 1))
 
 
 def _stop_on_nan(
