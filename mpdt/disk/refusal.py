@@ -1,0 +1,46 @@
+"""Refusal: what a disk says when it will not, as one StorageError with what to do next."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mpdt.errors import MpdtError, StorageError
+
+# HDF5 often keeps the text of an error only, hence both.
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_FULL_TEXTS = ("No space left", "File too large")
+_READ_ONLY, _READ_ONLY_TEXT = errno.EROFS, "Read-only file system"
+_FORBIDDEN = {errno.EACCES, errno.EPERM}
+_FORBIDDEN_TEXTS = ("Permission denied", "Operation not permitted")
+
+
+@contextmanager
+def disk(target: Path) -> Iterator[None]:
+    """Turn what the system and HDF5 raise about writing `target` into StorageError.
+
+    HDF5 reports a failed write as OSError or RuntimeError, depending on the layer.
+    """
+    try:
+        yield
+    except MpdtError:
+        raise
+    except (OSError, RuntimeError) as error:
+        what, hint = _explain(error)
+        raise StorageError(what, where=str(target), found=str(error), hint=hint) from error
+
+
+def _explain(error: OSError | RuntimeError) -> tuple[str, str]:
+    """What is wrong, and what to do next."""
+    code, text = getattr(error, "errno", None), str(error)
+    if code in _FULL or any(part in text for part in _FULL_TEXTS):
+        return "the disk is full", "make room there, or choose another folder with -o"
+    if code == _READ_ONLY or _READ_ONLY_TEXT in text:
+        return "the disk is read-only", "choose another folder with -o"
+    if code in _FORBIDDEN or any(part in text for part in _FORBIDDEN_TEXTS):
+        return "no permission to write", (
+            "choose another folder with -o, or ask whoever owns it (ls -ld shows who)"
+        )
+    return "cannot be written", "choose another folder or name with -o"
