@@ -24,9 +24,10 @@ from trained import SEED, open_run
 from mpdt.errors import MpdtError
 from mpdt.seeding import phase_seed
 from mpdt.train.adapt.candidates import UnseenTasks
-from mpdt.train.adapt.infer import explain, fit_reward_model, read_training_tasks
+from mpdt.train.adapt.infer import explain
 from mpdt.train.evaluate.aggregate import mean, stratified_interval
 from mpdt.train.evaluate.rollout import SimulatorCache, evaluate
+from mpdt.train.fit.reward import fit_reward_model, read_training_tasks
 
 
 def returns_of(

@@ -7,13 +7,13 @@ from pathlib import Path
 import torch
 
 from mpdt.model.backbone import from_settings
-from mpdt.train.fit.checkpoint import StopRequest
 from mpdt.train.fit.data import load_material
 from mpdt.train.run.config import from_plain
 from mpdt.train.run.folder import locate
 from mpdt.train.run.identity import identify
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.show import read_results
+from mpdt.train.run.stop import StopRequest
 from mpdt.train.run.trainer import Trained, Trainer
 
 SEED = 1000  # of evaluation episodes: not those of any table of results

@@ -92,8 +92,8 @@ def adapting(update: training.Update, at_once: bool) -> Callable[[], float]:
     """One update of P_c towards statistics of training; tasks done."""
     import torch
 
+    from mpdt.model.policy import PolicyBatch
     from mpdt.model.prefix import NO_PREFIX
-    from mpdt.train.fit.loop import as_batch
 
     prompts = update.prompts.task_prompts().detach().requires_grad_()
 
@@ -102,7 +102,7 @@ def adapting(update: training.Update, at_once: bool) -> Callable[[], float]:
         return sum(x.mean(0).abs().sum() + x.var(0).abs().sum() for x in kept)
 
     def run() -> float:
-        batch = as_batch(update.sampler.batch(0))
+        batch = PolicyBatch.from_windows(update.sampler.batch(0))
         if at_once:
             output = update.policy(batch, prompts, layer_features=True)
             torch.autograd.grad(distance(output.features, batch.mask), prompts)

@@ -73,12 +73,11 @@ class Update:
         import torch
         from einops import repeat
 
-        from mpdt.model.policy import action_loss
+        from mpdt.model.policy import PolicyBatch, action_loss
         from mpdt.model.prefix import NO_PREFIX
-        from mpdt.train.fit.loop import as_batch
 
         windows = self.sampler.batch(self.done)
-        batch, slots = as_batch(windows), torch.from_numpy(windows.slots)
+        batch, slots = PolicyBatch.from_windows(windows), torch.from_numpy(windows.slots)
         tokens, mask = self.policy._tokens(batch, self.returns.select(slots), None)
         before = repeat(self.prompts.task_prompts(slots), "n l s -> (n M) l s", M=PER_TASK)
         rows = torch.cat([before, tokens.flatten(0, 1)], dim=1)
@@ -106,7 +105,7 @@ def decision_transformer(dataset: Any, ours: Update) -> Callable[[], None]:
     import torch
     from transformers import DecisionTransformerConfig, DecisionTransformerModel
 
-    from mpdt.train.fit.loop import as_batch
+    from mpdt.model.policy import PolicyBatch
 
     width = ours.backbone.width
     heads = 12 if width % 12 == 0 else 9
@@ -119,7 +118,7 @@ def decision_transformer(dataset: Any, ours: Update) -> Callable[[], None]:
 
     def run() -> None:
         nonlocal step
-        batch = as_batch(ours.sampler.batch(step))
+        batch = PolicyBatch.from_windows(ours.sampler.batch(step))
         flat = {
             name: getattr(batch, name).flatten(0, 1)
             for name in ("observations", "actions", "returns_to_go", "timesteps", "mask")

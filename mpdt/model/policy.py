@@ -41,14 +41,20 @@ class HeadSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class Windows(Protocol):
-    """What a sampler hands over: numpy arrays (n, M, K, ...)."""
+    """What a sampler hands over: numpy arrays (n, M, K, ...), read and never set."""
 
-    observations: NDArray[Any]
-    previous_actions: NDArray[Any]
-    actions: NDArray[Any]
-    returns_to_go: NDArray[Any]
-    timesteps: NDArray[Any]
-    mask: NDArray[Any]
+    @property
+    def observations(self) -> NDArray[Any]: ...
+    @property
+    def previous_actions(self) -> NDArray[Any]: ...
+    @property
+    def actions(self) -> NDArray[Any]: ...
+    @property
+    def returns_to_go(self) -> NDArray[Any]: ...
+    @property
+    def timesteps(self) -> NDArray[Any]: ...
+    @property
+    def mask(self) -> NDArray[Any]: ...
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,8 @@ from mpdt.train.options import (
 
 if TYPE_CHECKING:
     from mpdt.train.evaluate.score import Block
-    from mpdt.train.fit.checkpoint import StopRequest
     from mpdt.train.run.config import TrainConfig
+    from mpdt.train.run.stop import StopRequest
 
 PROG = "mpdt-train"
 
@@ -211,7 +211,7 @@ def _report(command: Report) -> int:
 
 def _until_stopped(body: Callable[[StopRequest], int]) -> int:
     """The body's exit code, or that of the signal that stopped it, with how to go on."""
-    from mpdt.train.fit.checkpoint import Stopped, StopRequest
+    from mpdt.train.run.stop import Stopped, StopRequest
 
     try:
         with StopRequest().listening() as stop:

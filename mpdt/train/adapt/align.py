@@ -38,13 +38,12 @@ from mpdt.data.store.reader import Dataset, open_tta_rewards
 from mpdt.data.store.ttaset import find_tta_set
 from mpdt.errors import TrainingError, UsageError
 from mpdt.model.limits import check_at_least
-from mpdt.model.policy import PromptPolicy
+from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start, TrainedPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import generator_at
-from mpdt.train.adapt.infer import InferSettings
 from mpdt.train.adapt.statistics import LayerStatistics, moments
-from mpdt.train.fit.loop import as_batch
+from mpdt.train.fit.reward import RewardSettings
 
 NOT_ADAPTED: Start = "none"
 INFERRED: tuple[Start, ...] = ("infer", "infer_aligned")
@@ -56,7 +55,7 @@ class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     starts: tuple[Start, ...] = ("cross",)
     """Starts to adapt from and report; P_c o mean P_k without adaptation is always reported.
     `infer` and `infer_aligned` read the rewards of X."""
-    infer: InferSettings = InferSettings()
+    infer: RewardSettings = RewardSettings()
     set: str = "default"
     """Name of the TTA set."""
     episodes: int = 0
@@ -223,7 +222,7 @@ def adapt(
     optimizer = torch.optim.AdamW(tuned, lr=settings.lr, weight_decay=0.0)
     for step in range(settings.steps):
         windows = unseen.batch(step)
-        batch = as_batch(windows)
+        batch = PolicyBatch.from_windows(windows)
         output = policy(batch, prompts.task_prompts(), returns, layer_features=True)
         losses = alignment_loss(output.features, batch.mask, source, axes, settings.layers)
         broken = ~losses.detach().isfinite()

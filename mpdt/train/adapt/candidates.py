@@ -15,25 +15,19 @@ from torch import Tensor
 from mpdt.data.store.reader import open_tta_rewards
 from mpdt.errors import UsageError
 from mpdt.model.demonstrations import DemonstrationPrompts
-from mpdt.model.policy import PromptPolicy, action_loss
+from mpdt.model.policy import PolicyBatch, PromptPolicy, action_loss
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import phase_seed
 from mpdt.train.adapt.align import INFERRED, NOT_ADAPTED, AdaptationSet, adapt, unseen_returns
 from mpdt.train.adapt.few_shot import choose_labelled, tune
-from mpdt.train.adapt.infer import (
-    Explanation,
-    explain,
-    fit_reward_model,
-    read_training_tasks,
-    read_transitions,
-)
+from mpdt.train.adapt.infer import Explanation, explain
 from mpdt.train.adapt.statistics import LayerStatistics, source_statistics
 from mpdt.train.evaluate.controller import PerTaskController, PromptController
 from mpdt.train.evaluate.rollout import Controller
 from mpdt.train.evaluate.score import Reads
 from mpdt.train.fit.data import sample_demonstrations
-from mpdt.train.fit.loop import as_batch
+from mpdt.train.fit.reward import fit_reward_model, read_training_tasks, read_transitions
 from mpdt.train.run.trainer import Trained, Trainer
 
 DONOR_BATCHES = 4  # of all training tasks, to choose the one whose demonstration stands for all
@@ -176,7 +170,7 @@ class UnseenTasks:
         shown = sample_demonstrations(
             self._material, self._config.prompts.length, self._seed, self._rows
         )
-        return trained.showing(as_batch(shown), self.returns)
+        return trained.showing(PolicyBatch.from_windows(shown), self.returns)
 
     def inferred(self) -> Tensor:
         """Weights (n, N) of the training tasks, from X and its rewards; computed once."""
@@ -237,7 +231,7 @@ class UnseenTasks:
         losses = np.zeros(len(parts))
         for number in range(DONOR_BATCHES):
             windows = sampler.batch(number)
-            batch, slots = as_batch(windows), torch.from_numpy(windows.slots)
+            batch, slots = PolicyBatch.from_windows(windows), torch.from_numpy(windows.slots)
             assert batch.actions is not None
             returns = trained.returns.select(slots)
             for k, part in enumerate(parts):

@@ -19,10 +19,9 @@ from torch import Tensor
 
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.model.limits import check_at_least
-from mpdt.model.policy import PromptPolicy
+from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.prompts import TrainedPrompts
 from mpdt.model.returns import ReturnTable
-from mpdt.train.fit.loop import as_batch
 
 
 class StatisticsSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -107,7 +106,7 @@ def _features(
     """Features L x (n, M, K, s) and mask (n, M, K) of each batch."""
     for step in range(batches):
         windows = sampler.batch(step)
-        batch, slots = as_batch(windows), torch.from_numpy(windows.slots)
+        batch, slots = PolicyBatch.from_windows(windows), torch.from_numpy(windows.slots)
         output = policy(
             batch, prompts.task_prompts(slots), returns.select(slots), layer_features=True
         )

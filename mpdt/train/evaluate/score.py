@@ -1,4 +1,4 @@
-"""What a run leaves behind: metrics.jsonl while it goes, results.json when it is done.
+"""Scores: what a method returned on a task, beside the references; results.json holds them.
 
 A `Score` is one method on one task. Intervals are 95 % percentile bootstraps over the
 evaluation seeds; the interval of a mean over tasks resamples the seeds inside every task,
@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.reference import Reference
 from mpdt.errors import StorageError
-from mpdt.seeding import generator_of
-
-RESAMPLES = 2000
+from mpdt.train.evaluate.aggregate import bootstrap
 
 Block = Literal["train", "test"]
 MEAN = "mean"
@@ -56,23 +54,6 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Its interval lies above those of zero action and random; None = not compared."""
     reads: Reads | None = None
     """What was read of this task to make the policy; None for references and training tasks."""
-
-
-def bootstrap(
-    values: Sequence[NDArray[np.float64]] | NDArray[np.float64], seed: int = 0
-) -> tuple[float, float]:
-    """95 % interval of the mean over tasks of the mean over seeds; one array (E,) per task.
-
-    Seeds are resampled inside each task. Source: Efron & Tibshirani 1993, chapter 13
-    (percentile interval); too narrow for a handful of seeds, and honest about ties.
-    """
-    draws = generator_of(seed)
-    means = np.zeros(RESAMPLES)
-    for own in values:
-        picks = draws.integers(len(own), size=(RESAMPLES, len(own)))
-        means += own[picks].mean(axis=1) / len(values)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return float(low), float(high)
 
 
 def normalised(mean: float, random: float, expert: float) -> float:
@@ -178,37 +159,6 @@ def with_verdicts(scores: Sequence[Score]) -> list[Score]:
         else msgspec.structs.replace(score, beats_trivial=verdict(score))
         for score in scores
     ]  # fmt: skip
-
-
-class MetricsLog:
-    """Append-only lines of JSON. `size_bytes` goes into checkpoints, `cut` undoes what came after.
-
-    So a resumed run has exactly the lines of an unbroken one.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    @property
-    def size_bytes(self) -> int:
-        return self.path.stat().st_size if self.path.exists() else 0
-
-    def append(self, record: Mapping[str, Any]) -> None:
-        try:
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(record) + "\n")
-        except OSError as error:
-            raise StorageError(f"cannot write: {error.strerror}", where=str(self.path)) from error
-
-    def cut(self, size_bytes: int) -> None:
-        """Forget every line behind the first `size_bytes`."""
-        if self.size_bytes > size_bytes:
-            os.truncate(self.path, size_bytes)
-
-    def records(self) -> list[dict[str, Any]]:
-        if not self.path.exists():
-            return []
-        return [json.loads(line) for line in self.path.read_text(encoding="utf-8").splitlines()]
 
 
 def write_atomic(path: Path, content: bytes) -> None:

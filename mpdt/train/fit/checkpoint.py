@@ -1,4 +1,4 @@
-"""Checkpoints that resume exactly, and the polite way to stop.
+"""Checkpoints that resume exactly.
 
 A checkpoint = phase, step, trainables, AdamW's moments, length of metrics.jsonl. Batches are a
 function of (seed, step), so that is all a run is: stop and resume gives the bytes of an
@@ -7,12 +7,9 @@ unbroken run (same machine, same number of threads).
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 import torch
 from torch import Tensor
@@ -20,52 +17,10 @@ from torch import Tensor
 from mpdt.errors import TrainingError
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.weights import WeightsHeader, load_weights, save_weights
-from mpdt.train.evaluate.score import MetricsLog
+from mpdt.train.fit.log import MetricsLog
 from mpdt.train.fit.loop import Prompts
 
 KIND = "checkpoint"
-
-
-class Stopped(Exception):  # noqa: N818 - not an error: the user asked for it
-    """The run was asked to stop and has saved what it had. Exit code 128 + signal."""
-
-    def __init__(self, signal_number: int) -> None:
-        super().__init__(f"stopped by {signal.Signals(signal_number).name}")
-        self.exit_code = 128 + signal_number
-
-
-class StopRequest:
-    """Remembers SIGINT or SIGTERM until the loop asks. A second one ends at once."""
-
-    def __init__(self) -> None:
-        self.signal_number: int | None = None
-
-    def check(self) -> None:
-        """Raises: Stopped if a signal has come."""
-        if self.signal_number is not None:
-            raise Stopped(self.signal_number)
-
-    def heed(self, asked: bool) -> None:
-        """Where another process of a group was asked to stop, so was this one."""
-        if asked and self.signal_number is None:
-            self.signal_number = signal.SIGTERM
-
-    @contextmanager
-    def listening(self) -> Iterator[StopRequest]:
-        """Signals are remembered inside the block; the old handlers return afterwards."""
-
-        def remember(number: int, _frame: FrameType | None) -> None:
-            if self.signal_number is not None:
-                raise Stopped(number)
-            self.signal_number = number
-
-        numbers = (signal.SIGINT, signal.SIGTERM)
-        old = [signal.signal(number, remember) for number in numbers]
-        try:
-            yield self
-        finally:
-            for number, handler in zip(numbers, old, strict=True):
-                signal.signal(number, handler)
 
 
 @dataclass(frozen=True)

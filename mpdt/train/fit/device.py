@@ -68,7 +68,7 @@ class Hardware:
 
     def batch(self, windows: WindowBatch) -> PolicyBatch:
         """The sampler's windows as tensors on the device."""
-        batch = PolicyBatch.from_windows(windows)  # type: ignore[arg-type]
+        batch = PolicyBatch.from_windows(windows)
         if self.device.type == "cpu":
             return batch
         moved = {field.name: self.tensor(getattr(batch, field.name)) for field in fields(batch)}

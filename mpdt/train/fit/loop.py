@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal, cast
+from typing import Literal
 
 import msgspec
 import torch
@@ -25,7 +25,7 @@ from mpdt.data.slices.windows import WindowBatch
 from mpdt.errors import TrainingError
 from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.limits import check_at_least
-from mpdt.model.policy import PolicyBatch, PromptPolicy, Windows, action_loss
+from mpdt.model.policy import PromptPolicy, action_loss
 from mpdt.model.prompts import (
     AdaptedPrompts,
     DecomposedPrompts,
@@ -150,12 +150,6 @@ def fit(
         if on_step(step + 1, parts):
             return step + 1
     return num_steps
-
-
-def as_batch(windows: WindowBatch) -> PolicyBatch:
-    """The sampler's windows as tensors."""
-    # The protocol asks for settable attributes, which a frozen batch does not have.
-    return PolicyBatch.from_windows(cast(Windows, windows))
 
 
 def make_optimizer(

@@ -19,9 +19,9 @@ import torch
 from torch import Tensor
 
 from mpdt.errors import UsageError
-from mpdt.train.adapt.infer import (
-    InferSettings,
+from mpdt.train.fit.reward import (
     RewardModel,
+    RewardSettings,
     Transitions,
     convex_fit,
     fit_reward_model,
@@ -37,7 +37,7 @@ class MixingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     """Chance of a task in an update to act with the others' prompts; 0 = never."""
     unexplained: float = 0.05
     """Most of its rewards' variance that the others may leave unexplained."""
-    model: InferSettings = InferSettings(tasks=2)
+    model: RewardSettings = RewardSettings(tasks=2)
     """Reward model and number of tasks that are mixed together, as in `adapt.infer`."""
 
     def __post_init__(self) -> None:

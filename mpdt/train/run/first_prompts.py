@@ -11,12 +11,12 @@ import copy
 
 from mpdt.errors import UsageError
 from mpdt.model.demonstrations import DemonstrationPrompts, HyperPrompts
-from mpdt.model.policy import PromptPolicy
+from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.prompts import DecomposedPrompts, MixedPrompts, SharedPrompt, TaughtParts
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import phase_seed
 from mpdt.train.fit.data import Material, sample_demonstrations
-from mpdt.train.fit.loop import TaskPrompts, as_batch
+from mpdt.train.fit.loop import TaskPrompts
 from mpdt.train.run.config import TrainConfig
 
 
@@ -45,7 +45,7 @@ def untrained_prompts(
         return SharedPrompt(*shape, seed)
     inputs = copy.deepcopy(policy.inputs)
     shown = sample_demonstrations(material, settings.length, seed)
-    arguments = (inputs, as_batch(shown), returns)
+    arguments = (inputs, PolicyBatch.from_windows(shown), returns)
     if settings.kind == "hyper":
         return HyperPrompts(*arguments, backbone.num_layers, settings.rank, backbone.width, seed)
     return DemonstrationPrompts(*arguments, seed)

@@ -33,7 +33,8 @@ from mpdt.errors import (
     TrainingError,
     UsageError,
 )
-from mpdt.train.evaluate.score import MetricsLog, write_atomic
+from mpdt.train.evaluate.score import write_atomic
+from mpdt.train.fit.log import MetricsLog
 from mpdt.train.run.config import TrainConfig, differences, from_plain
 from mpdt.train.run.identity import Identity
 

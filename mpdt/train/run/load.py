@@ -34,13 +34,14 @@ from mpdt.seeding import phase_seed
 from mpdt.train.adapt.align import AdaptationSet, unseen_returns
 from mpdt.train.adapt.candidates import UnseenTasks
 from mpdt.train.evaluate.rollout import Controller
-from mpdt.train.fit.checkpoint import StopRequest, Subject
+from mpdt.train.fit.checkpoint import Subject
 from mpdt.train.fit.data import load_material
 from mpdt.train.fit.loop import make_optimizer
 from mpdt.train.run.folder import RunFolder, stored_settings
 from mpdt.train.run.identity import identify
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.show import read_results
+from mpdt.train.run.stop import StopRequest
 from mpdt.train.run.trainer import Trained, Trainer
 
 Adaptation = Callable[[PromptPolicy, TrainedPrompts, AdaptationSet, ReturnTable], Tensor]

@@ -16,7 +16,6 @@ from mpdt.errors import MissingFileError, UsageError
 from mpdt.model.backbone import from_settings
 from mpdt.train.evaluate.score import encode_results, write_atomic
 from mpdt.train.evaluate.tables import build_tables, render_markdown
-from mpdt.train.fit.checkpoint import StopRequest
 from mpdt.train.fit.data import Material, load_material
 from mpdt.train.fit.group import Group
 from mpdt.train.run.config import TrainConfig, to_plain
@@ -25,6 +24,7 @@ from mpdt.train.run.identity import Identity, identify
 from mpdt.train.run.judge import Judge
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.show import find_results, set_aside
+from mpdt.train.run.stop import StopRequest
 from mpdt.train.run.trainer import Trained, Trainer, count_trainables
 
 FORMAT = "mpdt-results/1"

@@ -26,13 +26,13 @@ from mpdt.model.prompts import MixedPrompts, TaughtParts, TeacherPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.model.weights import WeightsHeader, load_weights, save_weights
 from mpdt.seeding import phase_seed
-from mpdt.train.adapt.infer import read_training_tasks
-from mpdt.train.fit.checkpoint import Checkpoint, Stopped, StopRequest, Subject
+from mpdt.train.fit.checkpoint import Checkpoint, Subject
 from mpdt.train.fit.data import Ids, Material, return_table
 from mpdt.train.fit.device import Hardware
 from mpdt.train.fit.group import ALONE, Group
 from mpdt.train.fit.loop import Prompts, TaskPrompts, fit, make_optimizer
 from mpdt.train.fit.mixing import held_out_mixtures
+from mpdt.train.fit.reward import read_training_tasks
 from mpdt.train.fit.teacher import Teacher
 from mpdt.train.run.config import TrainConfig, to_plain
 from mpdt.train.run.first_prompts import untrained_prompts
@@ -40,6 +40,7 @@ from mpdt.train.run.fit_check import check_fits
 from mpdt.train.run.folder import RunFolder
 from mpdt.train.run.identity import JUDGING
 from mpdt.train.run.progress import Progress
+from mpdt.train.run.stop import Stopped, StopRequest
 
 
 @dataclass(frozen=True)

@@ -19,15 +19,16 @@ import numpy as np
 
 from mpdt.disk import disk
 from mpdt.errors import MissingFileError, MpdtError
-from mpdt.train.evaluate.score import MetricsLog, write_atomic
-from mpdt.train.fit.checkpoint import StopRequest
+from mpdt.train.evaluate.score import write_atomic
 from mpdt.train.fit.data import load_material
+from mpdt.train.fit.log import MetricsLog
 from mpdt.train.run.config import TrainConfig, from_plain, to_plain
 from mpdt.train.run.identity import identify, plain_settings
 from mpdt.train.run.methods import apply_method, merge
 from mpdt.train.run.pipeline import run_pipeline
 from mpdt.train.run.presets import get_preset
 from mpdt.train.run.progress import Progress
+from mpdt.train.run.stop import StopRequest
 from mpdt.train.study.maps import KEPT, keep_prompts
 from mpdt.train.study.plans import Cell
 

@@ -65,7 +65,7 @@ def test_each_training_task_stands_behind_its_own_prompt(monkeypatch):
     windows = SimpleNamespace(slots=torch.tensor([0, 1]).numpy())
     sampler = SimpleNamespace(batch=lambda step: windows)
     batch = SimpleNamespace(mask=torch.ones(2, 1, 1, dtype=torch.bool))
-    monkeypatch.setattr(statistics, "as_batch", lambda _: batch)
+    monkeypatch.setattr(statistics.PolicyBatch, "from_windows", lambda _: batch)
 
     def policy(_batch, given, _returns, layer_features):
         return SimpleNamespace(features=(given[:, None],))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mpdt.train.evaluate.aggregate import iqm, mean, seed_interval, stratified_interval
+from mpdt.train.evaluate.aggregate import bootstrap, iqm, mean, seed_interval, stratified_interval
 
 
 def test_iqm_by_hand():
@@ -53,3 +53,24 @@ def test_seeds_that_are_bad_everywhere_are_covered():
             low, high = interval(scores)
             hits[interval] += low <= 0 <= high
     assert hits[seed_interval] >= 180 and hits[stratified_interval] <= 120
+
+
+def test_bootstrap_of_equal_values_is_a_point():
+    assert bootstrap(np.full((2, 5), 3.0)) == (3.0, 3.0)
+
+
+def test_bootstrap_of_two_values_by_hand():
+    """Mean of two draws from {0, 4}: 0, 2, 4 with chances 1/4, 1/2, 1/4, so the 2.5 % and
+    97.5 % points are 0 and 4. Over 2 such tasks 0 and 4 have 1/16 each: still the ends."""
+    assert bootstrap(np.array([[0.0, 4.0]])) == (0.0, 4.0)
+    assert bootstrap(np.array([[0.0, 4.0]] * 2)) == (0.0, 4.0)
+
+
+def test_bootstrap_keeps_tasks_fixed():
+    """Tasks differ by 1000, their seeds do not: resampling tasks would widen the interval."""
+    assert bootstrap(np.array([[0.0, 0.0], [1000.0, 1000.0]])) == (500.0, 500.0)
+
+
+def test_bootstrap_of_tasks_with_other_numbers_of_episodes():
+    """Task a is always 1, task b the mean of two draws from {0, 4}: (1 + 0)/2 to (1 + 4)/2."""
+    assert bootstrap([np.array([1.0]), np.array([0.0, 4.0])]) == (0.5, 2.5)

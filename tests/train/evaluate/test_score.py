@@ -1,4 +1,4 @@
-"""Scores and intervals with numbers worked out by hand; the log that can forget."""
+"""Scores and verdicts with numbers worked out by hand; results.json."""
 
 import json
 
@@ -12,9 +12,7 @@ from mpdt.train.evaluate.score import (
     MEAN,
     RANDOM,
     ZERO,
-    MetricsLog,
     Score,
-    bootstrap,
     encode_results,
     expert_scores,
     normalised,
@@ -31,22 +29,6 @@ def test_normalised_by_hand():
     assert np.isnan(normalised(1.0, 5.0, 5.0))
 
 
-def test_bootstrap_of_equal_values_is_a_point():
-    assert bootstrap(np.full((2, 5), 3.0)) == (3.0, 3.0)
-
-
-def test_bootstrap_of_two_values_by_hand():
-    """Mean of two draws from {0, 4}: 0, 2, 4 with chances 1/4, 1/2, 1/4, so the 2.5 % and
-    97.5 % points are 0 and 4. Over 2 such tasks 0 and 4 have 1/16 each: still the ends."""
-    assert bootstrap(np.array([[0.0, 4.0]])) == (0.0, 4.0)
-    assert bootstrap(np.array([[0.0, 4.0]] * 2)) == (0.0, 4.0)
-
-
-def test_bootstrap_keeps_tasks_fixed():
-    """Tasks differ by 1000, their seeds do not: resampling tasks would widen the interval."""
-    assert bootstrap(np.array([[0.0, 0.0], [1000.0, 1000.0]])) == (500.0, 500.0)
-
-
 def test_scores_by_hand():
     scores = scores_of(
         "train", "MPDT", ["a", "b"],
@@ -59,11 +41,6 @@ def test_scores_by_hand():
     assert (second.mean, second.normalised, second.success) == (0.0, 0.5, 0.0)
     assert (mean.task, mean.mean, mean.normalised) == (MEAN, 10.0, 0.5)
     assert (mean.success, mean.num_episodes) == (0.25, 4)
-
-
-def test_bootstrap_of_tasks_with_other_numbers_of_episodes():
-    """Task a is always 1, task b the mean of two draws from {0, 4}: (1 + 0)/2 to (1 + 4)/2."""
-    assert bootstrap([np.array([1.0]), np.array([0.0, 4.0])]) == (0.5, 2.5)
 
 
 def test_the_expert_by_hand():
@@ -122,16 +99,6 @@ def test_verdicts_need_all_intervals_of_the_task():
         [*trivial, rated(EXPERT, 5.0, 9.0)],
     ):
         assert all(score.beats_trivial is None for score in with_verdicts(scores))
-
-
-def test_metrics_log_forgets_what_came_after_a_checkpoint(tmp_path):
-    log = MetricsLog(tmp_path / "metrics.jsonl")
-    log.append({"step": 1})
-    size_bytes = log.size_bytes
-    log.append({"step": 2})
-    log.cut(size_bytes)
-    log.append({"step": 3})
-    assert log.records() == [{"step": 1}, {"step": 3}]
 
 
 def test_results_hold_no_nan(tmp_path):

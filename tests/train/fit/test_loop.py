@@ -9,9 +9,9 @@ from mpdt.errors import FormatError, TrainingError, UsageError
 from mpdt.model.backbone import load_backbone
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import DecomposedPrompts, TeacherPrompts
-from mpdt.train.evaluate.score import MetricsLog
 from mpdt.train.fit.checkpoint import Checkpoint, Subject
 from mpdt.train.fit.data import load_material, return_table
+from mpdt.train.fit.log import MetricsLog
 from mpdt.train.fit.loop import (
     MultitaskSettings,
     OptimiserSettings,

@@ -5,12 +5,12 @@ import pytest
 import torch
 
 from mpdt.errors import UsageError
-from mpdt.train.adapt.infer import InferSettings, Transitions
 from mpdt.train.fit.mixing import MixingSettings, held_out_mixtures
+from mpdt.train.fit.reward import RewardSettings, Transitions
 
 SETTINGS = MixingSettings(
     share=0.5,
-    model=InferSettings(tasks=2, hidden=32, steps=600, batch=128, lr=1e-2),
+    model=RewardSettings(tasks=2, hidden=32, steps=600, batch=128, lr=1e-2),
     unexplained=0.05,
 )
 

@@ -8,11 +8,11 @@ import torch
 from mpdt.errors import UsageError
 from mpdt.model.policy import PolicyBatch, PolicyOutput
 from mpdt.model.prompts import PromptSettings, TeacherPrompts
-from mpdt.train.fit.checkpoint import StopRequest
 from mpdt.train.fit.data import load_material
 from mpdt.train.fit.teacher import Teacher, TeacherSettings, missed_variance
 from mpdt.train.run.presets import smoke
 from mpdt.train.run.progress import Progress
+from mpdt.train.run.stop import StopRequest
 from mpdt.train.run.trainer import Trainer
 
 

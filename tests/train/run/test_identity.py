@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mpdt.data.reference import YARDSTICKS
-from mpdt.train.adapt.infer import InferSettings
 from mpdt.train.fit.data import load_material
+from mpdt.train.fit.reward import RewardSettings
 from mpdt.train.run.config import TrainConfig, to_plain
 from mpdt.train.run.identity import identify
 
@@ -102,8 +102,8 @@ OTHERS = {
     "prompts.task_init": "ones", "sampler.order": "sequential", "optimiser.schedule": "cosine",
     "teacher.distillation": "none", "statistics.source": "random", "statistics.axes": "position",
     "adapt.starts": ("none",), "adapt.layers": (0,), "adapt.returns": "decrement",
-    "adapt.target": "training", "adapt.infer": InferSettings(tasks=3), "prompts.kind": "shared",
-    "evaluation.blocks": ("test",), "mixing.model": InferSettings(tasks=3),
+    "adapt.target": "training", "adapt.infer": RewardSettings(tasks=3), "prompts.kind": "shared",
+    "evaluation.blocks": ("test",), "mixing.model": RewardSettings(tasks=3),
     "hardware.device": "cuda", "hardware.autocast": "bfloat16", "hardware.compile": "eager",
     "few_shot.qualities": ("expert",), "few_shot.start": "cross_mean", "few_shot.tuned": "all",
 }  # fmt: skip

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -10,17 +11,17 @@ import torch
 
 from mpdt.errors import UsageError
 from mpdt.model.backbone import from_settings
+from mpdt.model.policy import PolicyBatch
 from mpdt.model.weights import load_weights
 from mpdt.train.adapt import candidates as unseen
-from mpdt.train.fit.checkpoint import StopRequest
 from mpdt.train.fit.data import load_material, sample_demonstrations
-from mpdt.train.fit.loop import as_batch
 from mpdt.train.run.config import TrainConfig, differences, to_plain
 from mpdt.train.run.folder import locate
 from mpdt.train.run.methods import METHODS, apply_method, merge
 from mpdt.train.run.pipeline import run_pipeline
 from mpdt.train.run.presets import base, paper, smoke
 from mpdt.train.run.progress import Progress
+from mpdt.train.run.stop import StopRequest
 from mpdt.train.run.trainer import Trainer
 
 TINY = {
@@ -162,9 +163,9 @@ def test_a_donor_is_chosen_by_all_training_tasks(tiny_file, tmp_path, monkeypatc
 
     def watched(windows):
         drawn.append(sorted(set(windows.tasks.tolist())))
-        return as_batch(windows)
+        return PolicyBatch.from_windows(windows)
 
-    monkeypatch.setattr(unseen, "as_batch", watched)
+    monkeypatch.setattr(unseen, "PolicyBatch", SimpleNamespace(from_windows=watched))
     run(merged(tiny("Prompt-DT"), {"sampler": {"tasks_per_update": 1}}), tiny_file, tmp_path)
     both = sorted(load_material(str(tiny_file), "expert").train_rows)
     assert len(both) == 2 and drawn.count(both) >= unseen.DONOR_BATCHES

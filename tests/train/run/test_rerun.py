@@ -94,9 +94,9 @@ class Pair:
 
 
 def test_a_finished_run_ends_every_process(again, monkeypatch):
-    from mpdt.train.fit.checkpoint import StopRequest
     from mpdt.train.run import pipeline
     from mpdt.train.run.progress import Progress
+    from mpdt.train.run.stop import StopRequest
 
     folder, arguments = again
     pair = Pair()

@@ -9,8 +9,8 @@ import pytest
 from mpdt.errors import FormatError, UsageError
 from mpdt.train.cli import main
 from mpdt.train.evaluate.score import MEAN, Score, encode_results
-from mpdt.train.fit.checkpoint import StopRequest
 from mpdt.train.run.progress import Progress
+from mpdt.train.run.stop import StopRequest
 from mpdt.train.study import plans as studies
 from mpdt.train.study.plans import STUDIES, Cell, get_study
 from mpdt.train.study.study import Places, configure, encode_cell, inspect_cell, run_study

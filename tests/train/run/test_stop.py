@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from mpdt.train.fit.checkpoint import Stopped, StopRequest
+from mpdt.train.run.stop import Stopped, StopRequest
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
