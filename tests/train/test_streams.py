@@ -165,18 +165,17 @@ def reset_noise(_: Path) -> list[Any]:
 
 
 def reward_model(_: Path) -> torch.Tensor:
-    from mpdt.train.adapt import infer
+    from mpdt.train.fit import reward
 
     inputs = np.arange(60, dtype=np.float32).reshape(20, 3)
-    tasks = [infer.Transitions(inputs, inputs[:, 0]), infer.Transitions(inputs, inputs[:, 1])]
-    settings = infer.InferSettings(hidden=4, steps=2, batch=4, lr=0.1)
-    fitted = infer.fit_reward_model(tasks, settings, SEED)
+    tasks = [reward.Transitions(inputs, inputs[:, 0]), reward.Transitions(inputs, inputs[:, 1])]
+    settings = reward.RewardSettings(hidden=4, steps=2, batch=4, lr=0.1)
+    fitted = reward.fit_reward_model(tasks, settings, SEED)
     return torch.cat([fitted.net[0].weight.flatten()[:2], fitted.net[4].weight.flatten()[:2]])
 
 
 def intervals(_: Path) -> list[float]:
-    from mpdt.train.evaluate.aggregate import stratified_interval
-    from mpdt.train.evaluate.score import bootstrap
+    from mpdt.train.evaluate.aggregate import bootstrap, stratified_interval
 
     scores = np.arange(12.0).reshape(3, 4) ** 2
     return [*bootstrap(scores, SEED), *stratified_interval(scores, seed=SEED)]
