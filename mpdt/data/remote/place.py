@@ -15,10 +15,12 @@ from typing import Any
 import fsspec
 from fsspec.registry import known_implementations
 
+from mpdt.data.remote import objects
 from mpdt.data.remote.address import hidden, without_secrets
 from mpdt.errors import MissingFileError, MpdtError, RemoteError, UsageError, unknown_name
 
 CHUNK_BYTES = 1 << 18
+MOST_TEXT_BYTES = 1 << 24  # of a list of sums; 100,000 files have one of 10 MB
 _APPEND = {"file", "local", "memory", "sftp", "ssh"}
 _READ_ONLY = {"http", "https"}
 # What file systems call the state of a file. An access time is none.
@@ -47,6 +49,7 @@ class Place:
         self.protocol = url.partition("://")[0] if "://" in url else "file"
         self.can_append = self.protocol in _APPEND
         self.is_read_only = self.protocol in _READ_ONLY
+        self.is_store = self.protocol in objects.PROTOCOLS
         self.fs: Any = None
         self.reconnect()
 
@@ -75,10 +78,11 @@ class Place:
                 scheme = self.protocol.replace("webdav", "http")
                 self.fs = fsspec.filesystem("webdav", base_url=f"{scheme}://{host}", **options)
                 return
+            if self.is_store:
+                self.fs, self.path = objects.connect(self._url, self.address)
+                return
             if self.protocol in ("sftp", "ssh"):
-                from mpdt.data.remote.ssh import known_hosts_only
-
-                options["host_key_policy"] = known_hosts_only()
+                options["host_key_policy"] = _known_hosts_only()
             self.fs, self.path = fsspec.url_to_fs(self._url, **options)
 
     def info(self, path: str) -> dict[str, Any] | None:
@@ -124,11 +128,21 @@ class Place:
                 yield chunk
 
     def read(self, path: str) -> bytes | None:
-        """A small file; None if it is not there. Some servers call that forbidden."""
+        """A small file; None if it is not there. Some servers call that forbidden.
+
+        Raises: RemoteError for one of over MOST_TEXT_BYTES, whatever its server announced.
+        """
+        content = b""
         try:
-            return b"".join(self.stream(path))
+            for chunk in self.stream(path):
+                content += chunk
+                if len(content) > MOST_TEXT_BYTES:
+                    raise RemoteError("too large for a list of sums", where=self.address,
+                                      expected=f"at most {MOST_TEXT_BYTES:,} bytes",
+                                      found="more")  # fmt: skip
         except (MissingFileError, RefusedError):
             return None
+        return content
 
     def sha256(self, path: str) -> str:
         """Of what is there: read back, unless the hub computed it when it took the file."""
@@ -154,11 +168,25 @@ class Place:
     def put(self, path: str, source: Path) -> None:
         """Write a whole file in the way its protocol does best."""
         with self.told():
+            if self.is_store:
+                objects.write(self.fs, path, source)
+                return
             self.make_folder(path)
             self.fs.put_file(str(source), path)
 
+    def enter(self, name: str) -> None:
+        """Point at `name` in the folder that this is."""
+        self.path = f"{self.path.rstrip('/')}/{name}"
+        self.address = f"{self.address.rstrip('/')}/{name}"
+
+    def shown(self, path: str) -> str:
+        """A path of this place to print or store; a web server's is a URL with its secrets."""
+        return hidden(path)
+
     def make_folder(self, path: str) -> None:
-        """The folder of `path`. Object stores have none, so a refusal is left to the write."""
+        """The folder of `path`; a refusal is left to the write. Object stores have none."""
+        if self.is_store:
+            return
         with suppress(OSError, NotImplementedError):
             self.fs.makedirs(path.rpartition("/")[0] or "/", exist_ok=True)
 
@@ -173,12 +201,17 @@ class Place:
         with self.told():
             if self.protocol in ("webdav", "webdavs"):
                 self.fs.client.move(old, new, overwrite=True)  # its mv refuses to
+            elif self.is_store:
+                objects.rename(self.fs, old, new)
             else:
                 self.fs.mv(old, new)
 
     def remove(self, path: str) -> None:
         with self.told(), suppress(FileNotFoundError):
-            self.fs.rm_file(path)
+            if self.is_store:
+                objects.remove(self.fs, path)
+            else:
+                self.fs.rm_file(path)
 
     @contextmanager
     def told(self, connecting: bool = False) -> Iterator[None]:
@@ -202,6 +235,8 @@ class Place:
 
     def _words(self, error: BaseException) -> str:
         text = without_secrets(str(error), self._url).strip()
+        status = _status(error)
+        text = text or (f"status {status}" if status else "")
         return f"{type(error).__name__}: {text}"[:300] if text else type(error).__name__
 
 
@@ -229,6 +264,8 @@ def _is_absence(error: Exception) -> bool:
     cause = error.__cause__
     if _status(error) in (404, 410) or _status(cause) in (404, 410):
         return True
+    if objects.is_absent(error):
+        return True
     if "ResourceNotFound" in {type(error).__name__, type(cause).__name__}:  # webdav4's
         return True
     missing = (FileNotFoundError, NotADirectoryError)
@@ -239,9 +276,37 @@ def _refusal(address: str, words: str, error: Exception) -> MpdtError:
     if isinstance(error, ValueError) and "range requests" in str(error):
         return NoRangesError("the server sends whole files only", where=address, found=words)
     denied = isinstance(error, PermissionError) or "Authentication" in type(error).__name__
-    if denied or {_status(error), _status(error.__cause__)} & {401, 403}:
+    if (
+        denied
+        or objects.is_denied(error)
+        or {_status(error), _status(error.__cause__)} & {401, 403}
+    ):
         return RefusedError("no permission", where=address, found=words,
                             hint="credentials come from the library's own places, see "
                                  "docs/remote.md")  # fmt: skip
     return RemoteError("cannot be reached, or the connection broke", where=address, found=words,
                        hint="the same command goes on from here")  # fmt: skip
+
+
+def _known_hosts_only() -> Any:
+    """A host key policy for fsspec's SFTP: hosts that ~/.ssh/known_hosts knows by their key.
+
+    fsspec's own way is to accept whoever answers, and then to send a password.
+    Raises: ImportError without paramiko.
+    """
+    import paramiko
+
+    class KnownHostsOnly(paramiko.MissingHostKeyPolicy):  # type: ignore[misc]
+        def missing_host_key(self, client: Any, hostname: str, key: Any) -> None:
+            """Called for every host, as fsspec loads no list of known ones."""
+            path = Path("~/.ssh/known_hosts").expanduser()
+            known = paramiko.HostKeys(str(path)) if path.exists() else paramiko.HostKeys()
+            if known.check(hostname, key):
+                return
+            what = "another host key than the known one" if known.lookup(hostname) else (
+                "an unknown host")  # fmt: skip
+            raise RemoteError(what, where=hostname, found=f"{key.get_name()} {key.fingerprint}",
+                              hint="connect once with ssh, which shows the key and asks; "
+                                   f"it is kept in {path}")  # fmt: skip
+
+    return KnownHostsOnly()

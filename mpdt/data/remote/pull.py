@@ -15,11 +15,11 @@ from pathlib import Path
 from mpdt.data.remote.address import last_name
 from mpdt.data.remote.part import Part
 from mpdt.data.remote.place import Place
-from mpdt.data.remote.proof import prove
-from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, loaded, sha256
+from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, loaded, prove, sha256
 from mpdt.disk import disk, sync
 from mpdt.errors import DataError, MissingFileError, RemoteError, UsageError
 
+SPARED_BYTES = 1 << 28  # left free by a server that does not say how much it will send
 Tell = Callable[[str, int, int | None], None]
 """Name of a file, bytes that are there, bytes it has (None: the server does not say)."""
 
@@ -56,11 +56,13 @@ def pull(
         else at `target`; UsageError; StorageError; BusyError.
     """
     with Place(url) as place:
-        target = target or Path(last_name(place.path.rstrip("/")) or "pulled")
+        name = last_name(place.path) or last_name(place.path.rstrip("/"))
+        target = target or Path(name or "pulled")
         if not target.parent.is_dir():
             raise MissingFileError("folder does not exist", where=str(target.parent),
                                    hint=f"mkdir -p {target.parent}")  # fmt: skip
-        is_signed = "?" in place.path  # for one file alone: nothing lies beside it
+        # A signature is for one file alone: nothing lies beside it.
+        is_signed = place.is_read_only and "?" in place.path
         if not is_signed and (content := place.read(place.path + SUFFIX)):
             return _pull_file(place, target, _single(content, place), lock, tell)
         is_file = place.state(place.path) is not None
@@ -151,9 +153,9 @@ def fetch(
     """
     state = place.state(path)
     if state is None:
-        raise MissingFileError("no such file", where=f"{place.address} ({path})")
+        raise MissingFileError("no such file", where=place.shown(path))
     size = state["size"]
-    with Part(target, json.dumps([place.address, path, state, sum])) as part:
+    with Part(target, json.dumps([place.address, place.shown(path), state, sum])) as part:
         start = part.resume(certain=bool(sum or state["version"]), size=size)
         _room(target, None if size is None else size - start)
         tell(target.name, start, size)
@@ -161,6 +163,13 @@ def fetch(
             before = part.size
             try:
                 for chunk in place.stream(path, before):
+                    if size is None:
+                        _room(target, len(chunk) + SPARED_BYTES)
+                    elif part.size + len(chunk) > size:
+                        part.discard()
+                        raise DataError("sends more than it announced, and was deleted",
+                                        where=place.address, expected=f"{size:,} bytes",
+                                        found="more")  # fmt: skip
                     part.write(chunk)
                     tell(target.name, part.size, size)
                 if size is None or part.size >= size:

@@ -14,8 +14,7 @@ from pathlib import Path
 from mpdt.data.remote import hub
 from mpdt.data.remote.address import hidden, last_name
 from mpdt.data.remote.place import Place
-from mpdt.data.remote.proof import prove
-from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, sums_of
+from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, prove, sums_of
 from mpdt.errors import DataError, RemoteError, UsageError
 
 Tell = Callable[[str, int, int | None], None]
@@ -57,6 +56,8 @@ def push(
     if source.is_file():
         prove(source)
     with Place(_named(url, source)) as place:
+        if source.is_file() and (place.info(place.path) or {}).get("type") == "directory":
+            place.enter(source.resolve().name)  # as cp does
         return _push(place, source, replace, check, tell)
 
 
@@ -106,8 +107,8 @@ def _is_there(
     if state["size"] in (size, None) and place.sha256(path) == digests[path]:
         return True
     if not replace:
-        raise DataError("something else is there already", where=place.address, found=path,
-                        hint="--replace, or another URL")  # fmt: skip
+        raise DataError("something else is there already", where=place.address,
+                        found=place.shown(path), hint="--replace, or another URL")  # fmt: skip
     return False
 
 

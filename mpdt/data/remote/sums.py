@@ -1,4 +1,4 @@
-"""Sums: SHA-256 of what was sent, beside it, as `sha256sum -c` reads them.
+"""Sums: SHA-256 of what was sent, beside it, as `sha256sum -c` reads them; digests of its own.
 
 x.h5        x.h5.sha256            one line
 folder/     folder/SHA256SUMS      one line per file; last to be written, so it means whole
@@ -11,6 +11,8 @@ import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
+from mpdt.data.verify.finding import Outcome
+from mpdt.data.verify.verify import verify
 from mpdt.errors import DataError, FormatError, MissingFileError
 
 SUFFIX = ".sha256"
@@ -32,7 +34,13 @@ def sums_of(source: Path) -> dict[str, str]:
         return {source.name: sha256(source)}
     if not source.is_dir():
         raise MissingFileError("no such file or folder", where=str(source))
-    files = sorted(path for path in source.rglob("*") if path.is_file())
+    below = sorted(source.rglob("*"))
+    for path in below:
+        # What a link leads to may be anything of this machine; a FIFO would never end.
+        if path.is_symlink() or not (path.is_file() or path.is_dir()):
+            raise DataError("a link or special file cannot be sent", where=str(path),
+                            hint="put a copy in its place, or leave it out")  # fmt: skip
+    files = [path for path in below if path.is_file()]
     names = {path.relative_to(source).as_posix(): path for path in files}
     names.pop(FILE_NAME, None)
     if not names:
@@ -68,3 +76,18 @@ def _is_plain(name: str) -> bool:
     ours = path.suffix == ".part" or name == FILE_NAME
     odd = "\\" in name or not name.isprintable() or name != str(path)
     return not (path.is_absolute() or ".." in path.parts or odd or ours)
+
+
+def prove(path: Path, lock: Path | None = None) -> str:
+    """The content hash of a file all of whose bytes are covered by a digest or the seal.
+
+    Args:
+        lock: only what this datasets.lock holds will do.
+    Raises: DataError saying what is wrong; MissingFileError, StorageError.
+    """
+    report = verify(path, only=("hash",), lock=lock)
+    for finding in report.findings:
+        if finding.outcome is Outcome.FAIL:
+            raise DataError("not a whole dataset file", where=str(path),
+                            found="; ".join(finding.lines()), hint=finding.hint)  # fmt: skip
+    return report.content_hash

@@ -243,7 +243,7 @@ def test_passwords_appear_nowhere(
     name, port = os.environ["USER"], sftp.port
     good = f"sftp://{name}:s3cret@127.0.0.1:{port}{tmp_path}/x.h5"
     seen = [*run("push", collected, good, "--json"), *run("pull", good)]
-    assert seen[0] == seen[3] == 0 and f"{name}:***@127.0.0.1" in seen[1]
+    assert seen[0] == seen[3] == 0 and "sftp://***@127.0.0.1" in seen[1]
     monkeypatch.setenv("HOME", str(tmp_path))  # another home: no key, no known host
     seen += run("pull", good, "-v", "-o", "y.h5")
     assert "an unknown host" in seen[-1] and "connect once with ssh" in seen[-1]
@@ -256,7 +256,7 @@ def test_passwords_appear_nowhere(
     with monkeypatch.context() as patch:
         patch.setattr("mpdt.data.remote.pull.pull", interrupted)
         seen += run("pull", good)
-    assert f"go on with: mpdt-data pull 'sftp://{name}:***@" in seen[-1]
+    assert "go on with: mpdt-data pull 'sftp://***@" in seen[-1]
     wrong = good.replace("s3cret", "s3cret2")
     (tmp_path / ".ssh").mkdir()
     shutil.copy(keys / ".ssh/known_hosts", tmp_path / ".ssh/known_hosts")  # still no key
@@ -290,6 +290,63 @@ def test_mistakes_are_one_clear_error(
     found, out, err = run(*words)
     assert found == code and text in err and not out
     assert not list(Path().iterdir())
+
+
+def test_a_server_that_sends_more_than_it_announced(run: Run) -> None:
+    """It is stopped there; what came is deleted."""
+
+    class Endless(SimpleHTTPRequestHandler):
+        def do_HEAD(self) -> None:
+            self.send_response(200 if self.path == "/x.h5" else 404)
+            self.send_header("Content-Length", "1000")
+            self.end_headers()
+
+        def do_GET(self) -> None:
+            if self.path != "/x.h5":
+                self.send_error(404)
+                return
+            self.send_response(200)  # without a length: the client reads until it is closed
+            self.end_headers()
+            for _ in range(4000):  # 256 MB
+                self.wfile.write(bytes(1 << 16))
+
+        def log_message(self, *words: object) -> None: ...
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Endless) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        code, out, err = run("pull", f"http://127.0.0.1:{server.server_port}/x.h5")
+        server.shutdown()
+    assert code == 1 and not out and ("announced" in err or "cannot be reached" in err)
+    assert sum(path.stat().st_size for path in Path().iterdir()) <= 1000
+
+
+def test_a_large_list_of_sums_is_not_read(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mpdt.data.remote.place.MOST_TEXT_BYTES", 1000)
+    Path("there").mkdir()
+    Path("there/SHA256SUMS").write_bytes(b"0" * 2000)
+    code, _, err = run("pull", "there", "-o", "here")
+    assert code == 1 and "too large for a list of sums" in err
+
+
+def test_a_file_goes_into_a_folder_that_is_there(run: Run, collected: Path) -> None:
+    Path("backup").mkdir()
+    code, out, _ = run("push", collected, "backup")
+    assert code == 0 and out.startswith("pushed  backup/tiny.h5")
+    assert sorted(p.name for p in Path("backup").iterdir()) == ["tiny.h5", "tiny.h5.sha256"]
+    assert run("pull", "backup/tiny.h5")[0] == 0
+
+
+@pytest.mark.parametrize("kind", ["link", "fifo"])
+def test_nothing_is_sent_that_a_link_leads_to(run: Run, export: Path, kind: str) -> None:
+    shutil.copytree(export, "set")
+    Path("secret.txt").write_text("my private key")
+    if kind == "link":
+        Path("set/data/more").symlink_to(Path("secret.txt").resolve())
+    else:
+        os.mkfifo("set/data/more")
+    code, _, err = run("push", "set", "there")
+    assert code == 1 and "a link or special file cannot be sent" in err and "set/data/more" in err
+    assert not Path("there").exists()
 
 
 def test_only_what_the_lock_holds(tiny_file: Path, run: Run, tmp_path: Path) -> None:
