@@ -12,7 +12,8 @@ ROOT = Path(__file__).parents[1]
 
 
 def run(script: str, target: Path, *options: str) -> Any:
-    command = [sys.executable, str(ROOT / "benchmarks/trust" / script), "--json", str(target), *options]
+    path = str(ROOT / "benchmarks/trust" / script)
+    command = [sys.executable, path, "--json", str(target), *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     return json.loads(target.read_text())

@@ -46,8 +46,8 @@ PAGE = """# Read by others
 
 Written by `make ecosystem`; do not edit. Each line is a program of `benchmarks/ecosystem/peers/`
 that imports nothing of mpdt (Minari alone does, to recover the environment) and asserts what it
-read: numbers of steps and episodes, returns, a replayed episode, a loss that falls. Data: {file}, content
-`{content_hash}`, {episodes:,} episodes, {steps:,} steps.
+read: numbers of steps and episodes, returns, a replayed episode, a loss that falls. Data: {file},
+content `{content_hash}`, {episodes:,} episodes, {steps:,} steps.
 
 {table}
 
