@@ -35,12 +35,12 @@ CASES = [
 
 
 def block_of(entry: str, kind: str, name: str) -> tuple[Any, Any]:
-    """The plan of a shipped entry, and one of its blocks."""
-    from mpdt.data.collect.plan import make_plan
+    """The job of a shipped entry, and one of its blocks."""
+    from mpdt.data.collect.job import make_job
     from mpdt.data.spec.catalog import load_catalog
 
-    plan = make_plan(load_catalog().get(entry))
-    return plan, plan.of_kind(kind, name)[0]
+    job = make_job(load_catalog().get(entry))
+    return job, job.plan.of_kind(kind, name)[0]
 
 
 def ways(number: int, entry: str, kind: str, name: str) -> dict[str, Callable[[], Any]]:
@@ -48,10 +48,10 @@ def ways(number: int, entry: str, kind: str, name: str) -> dict[str, Callable[[]
     from mpdt.data.collect.parts import PartsFolder
     from mpdt.data.collect.runner import BlockRunner
 
-    plan, block = block_of(entry, kind, name)
+    job, block = block_of(entry, kind, name)
     folder = PartsFolder(Path(tempfile.mkdtemp(prefix="mpdt-bench-")) / "x")
     (folder.path / "blocks").mkdir(parents=True)
-    runner = BlockRunner(plan, folder)
+    runner = BlockRunner(job, folder)
     episodes = runner.simulate(block)
     steps = sum(episode.length for episode in episodes)
 
@@ -62,7 +62,7 @@ def ways(number: int, entry: str, kind: str, name: str) -> dict[str, Callable[[]
     def clean() -> None:
         shutil.rmtree(folder.path.parent)
 
-    return {"ours": ours, "limit": native(plan, block, episodes), "clean": clean}
+    return {"ours": ours, "limit": native(job.plan, block, episodes), "clean": clean}
 
 
 def native(plan: Any, block: Any, episodes: list[Any]) -> Callable[[], int]:
@@ -162,7 +162,7 @@ def measure(report: rounds.Report) -> None:
             ]
             targets = [rounds.Target("mujoco.rollout, open loop", least)]
             if name == "expert":
-                size = block_of(entry, kind, name)[0].family.action_size
+                size = block_of(entry, kind, name)[0].plan.family.action_size
                 drawn = np.random.default_rng(0).uniform(-1, 1, (PEER_STEPS, size))
                 actions = drawn.astype(np.float32)
                 ways_of += peer_ways(entry, actions)

@@ -23,11 +23,10 @@ HORIZON, BLOCK = 4, 500
 
 
 def measure(report: rounds.Report) -> None:
+    from mpdt.data.collect.job import make_job
     from mpdt.data.collect.pack import pack
     from mpdt.data.collect.parts import PartsFolder
-    from mpdt.data.collect.plan import make_plan
     from mpdt.data.collect.runner import BlockRunner
-    from mpdt.data.sim.ladder import load_ladder
     from mpdt.data.spec.catalog import load_catalog
     from mpdt.data.spec.entry import EpisodeCounts
     from mpdt.data.store.reader import open_dataset
@@ -40,17 +39,17 @@ def measure(report: rounds.Report) -> None:
             counts = EpisodeCounts(random=size // 2)  # of each of two tasks
             small = msgspec.structs.replace(spec, horizon=HORIZON, block=BLOCK, episodes=counts,
                                             tta={})  # fmt: skip
-            plan = make_plan(small)
+            job = make_job(small)
+            plan = job.plan
             folder = PartsFolder(work / f"{size}.h5")
             (folder.path / "blocks").mkdir(parents=True)
-            runner = BlockRunner(plan, folder)
+            runner = BlockRunner(job, folder)
             runner(plan.of_kind("episodes")[0])  # builds the simulator
             began = time.perf_counter()
             reports = [runner(block) for block in plan.of_kind("episodes")]
             seconds["collect"].append(time.perf_counter() - began)
-            policies = load_ladder(small).policies(plan.tasks)
             began = time.perf_counter()
-            pack(plan, folder, reports, policies, {})
+            pack(plan, folder, reports, job.policies, {})
             seconds["pack"].append(time.perf_counter() - began)
             times = []
             for _ in range(9):

@@ -58,23 +58,22 @@ def collect(target: Path, episodes: int, packs: bool) -> None:
     """Random cheetah episodes of 20 steps, blocks of 50, and on request the pack."""
     import msgspec
 
+    from mpdt.data.collect.job import make_job
     from mpdt.data.collect.pack import pack
     from mpdt.data.collect.parts import PartsFolder
-    from mpdt.data.collect.plan import make_plan
     from mpdt.data.collect.runner import BlockRunner
-    from mpdt.data.sim.ladder import load_ladder
     from mpdt.data.spec.catalog import load_catalog
     from mpdt.data.spec.entry import EpisodeCounts
 
     counts = EpisodeCounts(random=episodes // 2)
     spec = msgspec.structs.replace(load_catalog().get("cheetah_dir"), horizon=20,
                                    episodes=counts, tta={})  # fmt: skip
-    plan, folder = make_plan(spec), PartsFolder(target)
+    job, folder = make_job(spec), PartsFolder(target)
     (folder.path / "blocks").mkdir(parents=True)
-    runner = BlockRunner(plan, folder)
-    reports = [runner(block) for block in plan.of_kind("episodes")]
+    runner = BlockRunner(job, folder)
+    reports = [runner(block) for block in job.plan.of_kind("episodes")]
     if packs:
-        pack(plan, folder, reports, load_ladder(spec).policies(plan.tasks), {})
+        pack(job.plan, folder, reports, job.policies, {})
 
 
 def measured(*words: str) -> float:

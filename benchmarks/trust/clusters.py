@@ -21,6 +21,7 @@ from ray.cluster_utils import Cluster
 
 from mpdt.data.collect.collect import Progress, collect
 from mpdt.data.collect.engine import RayCluster
+from mpdt.data.collect.job import make_job
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts
 
@@ -46,7 +47,7 @@ def by_cluster(spec: DatasetSpec, target: Path, shared_folder: bool) -> dict[str
     began = time.monotonic()
     try:
         engine = RayCluster(cluster.address, shared_folder)
-        data = collect(spec, target, engine=engine, on_progress=kill_one).dataset
+        data = collect(make_job(spec), target, engine=engine, on_progress=kill_one).dataset
     finally:
         cluster.shutdown()
     seconds = round(time.monotonic() - began, 1)
@@ -63,7 +64,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         began = time.monotonic()
-        wanted = collect(spec, folder / "processes.h5", workers=2).dataset.content_hash
+        wanted = collect(make_job(spec), folder / "processes.h5", workers=2).dataset.content_hash
         seconds = round(time.monotonic() - began, 1)
         result: dict[str, Any] = {"processes": {"content": wanted, "seconds": seconds}}
         for way, shared in (("object store", False), ("shared folder", True)):

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import msgspec
 
-from mpdt.data.collect import collect as build
+from mpdt.data.collect.collect import collect as collect_job
+from mpdt.data.collect.job import make_job
 from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec, smoke
@@ -56,7 +57,7 @@ def collect(
     if tiny:
         spec = smoke(spec)
     path = Path(f"{spec.name}.h5" if target is None else target)
-    done = build.collect(spec, path, workers=workers, restart=restart)
+    done = collect_job(make_job(spec), path, workers=workers, restart=restart)
     for remark in done.warnings:
         warnings.warn(remark, UserWarning, stacklevel=2)
     return done.dataset

@@ -13,6 +13,7 @@ from types import ModuleType
 import pytest
 
 from mpdt.data.collect.collect import collect
+from mpdt.data.collect.job import make_job
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec
 
@@ -67,7 +68,7 @@ def collected(fake_sim: ModuleType, tmp_path_factory: pytest.TempPathFactory) ->
     with pytest.MonkeyPatch.context() as patch:
         fake_sim.install(patch.setattr)
         spec = load_catalog(folder / "datasets.yaml").get("tiny")
-        collect(spec, folder / "tiny.h5", workers=0)
+        collect(make_job(spec), folder / "tiny.h5", workers=0)
     return folder / "tiny.h5"
 
 

@@ -23,10 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from mpdt.data.collect import collect as build
-from mpdt.data.collect import pack, runner
+from mpdt.data.collect import job, pack, runner
 from mpdt.data.episode import PolicyInfo
-from mpdt.data.sim import ladder as sim_ladder
 from mpdt.data.sim.batch import StepResult
 from mpdt.data.sim.policies import UniformPolicy
 from mpdt.data.spec.tasks import Family, Task
@@ -111,9 +109,7 @@ def install(patch: Any, medium: float = 0.5) -> None:
     """`patch(module, name, value)` puts the fakes in place."""
     ladder = FakeLadder(medium)
     patch(runner, "make_batch", FakeBatch)
-    patch(runner, "load_ladder", lambda spec: ladder)
-    patch(build, "load_ladder", lambda spec: ladder)
-    patch(sim_ladder, "load_ladder", lambda spec: ladder)  # the verbs import it lazily
+    patch(job, "load_ladder", lambda spec: ladder)
     if "FAKE_HANG_IN_PACK" in os.environ:
         patch(pack, "compute_stats", lambda dataset: _hang(dataset.path))
 

@@ -1,6 +1,6 @@
 """Add a set for test-time adaptation to a finished file.
 
-    file -> its spec with one more rule -> plan -> missing blocks on workers -> changed copy
+    file -> its spec with one more rule -> job -> missing blocks on workers -> changed copy
 
 The blocks are those of a collection, so a set added later is the set collected at once. An
 interrupted addition goes on from the folder `FILE.tta-NAME.parts`.
@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -19,6 +18,7 @@ import numpy as np
 
 from mpdt.data.collect.collect import OnProgress, check_space, describe_plan, run_missing
 from mpdt.data.collect.engine import DECISIVE_PACKAGES, Processes
+from mpdt.data.collect.job import Job
 from mpdt.data.collect.pack import tta_source
 from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.plan import Block, Plan, make_plan
@@ -27,7 +27,6 @@ from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts, TtaRule
 from mpdt.data.store import provenance
 from mpdt.data.store.amend import add_tta
 from mpdt.data.store.dataset import Dataset
-from mpdt.data.store.reader import open_dataset
 from mpdt.errors import DataError, UsageError
 
 
@@ -47,8 +46,8 @@ def stored_rule(dataset: Dataset, name: str) -> TtaRule:
     return _spec(dataset).tta.get(name) or TtaRule(episodes=20)
 
 
-def plan_set(dataset: Dataset, name: str, rule: TtaRule, tasks: Sequence[str] = ()) -> Plan:
-    """The blocks of one set for `dataset`, as a collection would have planned them.
+def set_job(dataset: Dataset, name: str, rule: TtaRule, tasks: Sequence[str] = ()) -> Job:
+    """One set for `dataset`: its blocks as a collection would have planned them.
 
     Args:
         tasks: names of the only tasks to get one; empty = those that `rule.tasks` says.
@@ -64,31 +63,30 @@ def plan_set(dataset: Dataset, name: str, rule: TtaRule, tasks: Sequence[str] = 
     if not blocks:
         raise UsageError(f"no {rule.tasks} task in this file", where=str(dataset.path),
                          hint="--tasks all, or name some")  # fmt: skip
-    return replace(plan, blocks=blocks)
+    return Job(replace(plan, blocks=blocks))
 
 
 def add_set(
-    path: Path,
-    name: str,
-    rule: TtaRule,
-    tasks: Sequence[str] = (),
+    dataset: Dataset,
+    job: Job,
     *,
     workers: int | None = None,
     overwrite: bool = False,
     restart: bool = False,
     on_progress: OnProgress | None = None,
 ) -> Added:
-    """Simulate a TTA set and put it into the file at `path`; its episodes stay what they are.
+    """Simulate a TTA set and put it into its file, whose episodes stay what they are.
 
     Args:
+        dataset: the open file; the result is another view of it.
+        job: of `set_job`.
         workers: processes; None = one per core, 0 = in this process.
         overwrite: a set of that name may be another one and is replaced.
         restart: delete what an interrupted addition left.
-    Raises: as `plan_set`; UsageError if another set has that name; BusyError; StorageError;
+    Raises: UsageError if another set has that name; BusyError; StorageError;
         SimulatorError. The file is untouched by any of them.
     """
-    dataset = open_dataset(path)
-    plan = plan_set(dataset, name, rule, tasks)
+    path, plan, (name,) = dataset.path, job.plan, job.spec.tta
     source = tta_source(plan, name, (), plan.num_tta_episodes, 0)
     if name in dataset.tta and not overwrite:
         _check_same(dataset, name, plan, source.rule, source.preset_returns)
@@ -98,7 +96,7 @@ def add_set(
         if restart:
             folder.clear()
         folder.agree(describe_plan(plan))
-        reports, _ = run_missing(plan, folder, Processes(workers), on_progress or (lambda _: None))
+        reports, _ = run_missing(job, folder, Processes(workers), on_progress or (lambda _: None))
         steps = sum(report.steps for report in reports)
         episodes = _episodes(folder, plan.blocks)
         source = replace(source, episodes=episodes, num_steps=steps)

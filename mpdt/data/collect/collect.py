@@ -1,10 +1,10 @@
-"""Build: where sim meets store. From a spec to a finished file, resumable at every block.
+"""Collect: where sim meets store. From a job to a finished file, resumable at every block.
 
-spec -> plan -> lock -> missing blocks on workers -> levels -> pack -> parts deleted
-          |                     |                      |
-          '- nothing to do?     '- parts survive any   '- qualities out of order, a
-             file is complete      kill                   false version, other content than
-                                                          locked: nothing is written
+job -> lock -> missing blocks on workers -> levels -> pack -> parts deleted
+          |              |                              |
+          |              '- parts survive any kill      '- qualities out of order, a false
+          '- nothing to do? file is complete               version, other content than
+                                                           locked: nothing is written
 """
 
 from __future__ import annotations
@@ -12,24 +12,22 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from mpdt.data.collect.engine import Engine, Processes, decisive_versions
+from mpdt.data.collect.job import Job
 from mpdt.data.collect.levels import check_levels, measure_levels
 from mpdt.data.collect.pack import pack
 from mpdt.data.collect.parts import PartsFolder
-from mpdt.data.collect.plan import Block, Plan, make_plan
-from mpdt.data.collect.runner import BlockReport, BlockRunner, Gap, report_part
-from mpdt.data.episode import PolicyInfo
+from mpdt.data.collect.plan import Block, Plan
+from mpdt.data.collect.runner import BlockReport, Gap, report_part
 from mpdt.data.lock.claim import changed_keys
 from mpdt.data.lock.keeper import LockKeeper, plain_spec
-from mpdt.data.sim.ladder import load_ladder
-from mpdt.data.sim.references import find_records
-from mpdt.data.spec.entry import DatasetSpec, canonical_json
+from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 from mpdt.errors import BusyError, DataError, FormatError, StorageError
@@ -68,7 +66,7 @@ class Collected:
 
 
 def collect(
-    spec: DatasetSpec,
+    job: Job,
     target: Path,
     *,
     workers: int | None = None,
@@ -77,9 +75,9 @@ def collect(
     lock: LockKeeper | None = None,
     on_progress: OnProgress | None = None,
 ) -> Collected:
-    """Make the file of `spec` at `target`, or go on with an interrupted collection.
+    """Make the file of `job` at `target`, or go on with an interrupted collection.
 
-    The content depends on the spec, the package versions, the CPU type and the behaviour
+    The content depends on its spec, the package versions, the CPU type and the behaviour
     weights only: not on the engine, interruptions or order.
 
     Args:
@@ -96,9 +94,9 @@ def collect(
     """
     engine = engine or Processes(workers)
     if lock is None:
-        return _collect(spec, target, engine, restart, None, on_progress)
-    lock.before(spec)
-    done = _collect(spec, target, engine, restart, lock.approve, on_progress)
+        return _collect(job, target, engine, restart, None, on_progress)
+    lock.before(job.spec)
+    done = _collect(job, target, engine, restart, lock.approve, on_progress)
     if not done.is_new:
         lock.approve(done.dataset)
     note, warnings = lock.after(done.dataset)
@@ -106,17 +104,15 @@ def collect(
 
 
 def _collect(
-    spec: DatasetSpec,
+    job: Job,
     target: Path,
     engine: Engine,
     restart: bool,
     approve: Callable[[Dataset], None] | None,
     on_progress: OnProgress | None,
 ) -> Collected:
-    ladder, folder = load_ladder(spec), PartsFolder(target)
-    plan = make_plan(spec, find_records(spec, ladder))
-    policies = ladder.policies(plan.tasks)
-    if not restart and (finished := find_finished(plan, target, policies)):
+    plan, folder = job.plan, PartsFolder(target)
+    if not restart and (finished := find_finished(job, target)):
         with suppress(BusyError, StorageError):
             folder.discard()  # of a collector that was killed just before it would have
         return Collected(finished, is_new=False)
@@ -124,20 +120,20 @@ def _collect(
     with folder.locked():
         if restart:
             folder.clear()
-        elif finished := find_finished(plan, target, policies):  # by another collector, meanwhile
+        elif finished := find_finished(job, target):  # by another collector, meanwhile
             folder.delete()
             return Collected(finished, is_new=False)
         folder.agree(describe_plan(plan))
-        reports, resumed = run_missing(plan, folder, engine, on_progress or (lambda _: None))
+        reports, resumed = run_missing(job, folder, engine, on_progress or (lambda _: None))
         levels = measure_levels(plan, reports)
         warnings = check_levels(plan, levels, str(folder.path))
-        dataset = pack(plan, folder, reports, policies, levels, approve)
+        dataset = pack(plan, folder, reports, job.policies, levels, approve)
         folder.delete()
     return Collected(dataset, True, resumed, warnings)
 
 
-def find_finished(plan: Plan, target: Path, policies: Sequence[PolicyInfo]) -> Dataset | None:
-    """The finished file at `target` if this very spec and these policies made it, else None.
+def find_finished(job: Job, target: Path) -> Dataset | None:
+    """The finished file at `target` if this very spec and its policies made it, else None.
 
     Raises: DataError if something else is there, naming the keys of the spec that differ.
     """
@@ -157,8 +153,8 @@ def find_finished(plan: Plan, target: Path, policies: Sequence[PolicyInfo]) -> D
             where=str(target),
             hint="choose another file with -o; --restart replaces it",
         )
-    if not (changed := changed_keys(dict(dataset.spec), plain_spec(plan.spec))):
-        if {policy.hash for policy in policies} == {p.hash for p in dataset.policy_infos()}:
+    if not (changed := changed_keys(dict(dataset.spec), plain_spec(job.spec))):
+        if {policy.hash for policy in job.policies} == {p.hash for p in dataset.policy_infos()}:
             return dataset
         raise DataError(
             "the target was made with other behaviour weights or mixing rates",
@@ -211,15 +207,15 @@ def check_space(plan: Plan, target: Path) -> None:
 
 
 def run_missing(
-    plan: Plan, folder: PartsFolder, engine: Engine, on_progress: OnProgress
+    job: Job, folder: PartsFolder, engine: Engine, on_progress: OnProgress
 ) -> tuple[list[BlockReport], int]:
     """Reports of all blocks, and how many of them an earlier run had finished."""
     reports: list[BlockReport] = []
     missing: list[Block] = []
     gaps: Counter[Gap] = Counter()
-    known = BlockRunner(plan, folder)  # its ladder says who should have acted
+    plan = job.plan
     for block in plan.blocks:
-        found = report_part(folder, block, known.actor(block))
+        found = report_part(folder, block, job.actor(block))
         if isinstance(found, BlockReport):
             reports.append(found)
         else:
@@ -244,7 +240,7 @@ def run_missing(
 
     tell(None)
     # Closed at once on an interrupt: no worker writes a part after its lock is gone.
-    with closing(engine.reports(plan, folder, missing)) as results:
+    with closing(engine.reports(job, folder, missing)) as results:
         for report in results:
             reports.append(report)
             tell(report.block)

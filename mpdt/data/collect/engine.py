@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from mpdt.data.collect.job import Job
 from mpdt.data.collect.parts import PartsFolder
-from mpdt.data.collect.plan import Block, Plan
+from mpdt.data.collect.plan import Block
 from mpdt.data.collect.runner import BlockReport, BlockRunner
 from mpdt.data.store import provenance
 from mpdt.data.workers.processes import default_workers, map_blocks
@@ -31,7 +32,7 @@ class Engine(Protocol):
     """Does blocks; each part is whole in `folder` before its report is handed out."""
 
     def reports(
-        self, plan: Plan, folder: PartsFolder, blocks: Sequence[Block]
+        self, job: Job, folder: PartsFolder, blocks: Sequence[Block]
     ) -> Generator[BlockReport, None, None]: ...
 
 
@@ -46,15 +47,15 @@ class Processes:
             raise UsageError("a negative number of workers", found=str(self.workers))
 
     def reports(
-        self, plan: Plan, folder: PartsFolder, blocks: Sequence[Block]
+        self, job: Job, folder: PartsFolder, blocks: Sequence[Block]
     ) -> Generator[BlockReport, None, None]:
         workers = default_workers() if self.workers is None else self.workers
-        return map_blocks(BlockRunner(plan, folder), blocks, workers)
+        return map_blocks(BlockRunner(job, folder), blocks, workers)
 
 
 @dataclass(frozen=True)
 class RayCluster:
-    """Ray tasks, see `sim/ray_engine.py`.
+    """Ray tasks, see `workers/ray.py`.
 
     Args:
         address: of a running cluster; None starts one on this machine.
@@ -66,10 +67,10 @@ class RayCluster:
     shared_folder: bool = False
 
     def reports(
-        self, plan: Plan, folder: PartsFolder, blocks: Sequence[Block]
+        self, job: Job, folder: PartsFolder, blocks: Sequence[Block]
     ) -> Generator[BlockReport, None, None]:
         """Raises: SimulatorError for a node whose versions or CPU give other bytes."""
-        courier = Courier(plan, folder if self.shared_folder else None)
+        courier = Courier(job, folder if self.shared_folder else None)
         here = decisive_versions()
         for delivery in map_blocks_ray(courier, blocks, self.address):
             if delivery.versions != here:
@@ -108,13 +109,13 @@ class Delivery:
 class Courier:
     """What runs on a node: simulate a block and hand over its part."""
 
-    plan: Plan
+    job: Job
     folder: PartsFolder | None
     _runner: BlockRunner | None = field(default=None, repr=False)
 
     def __call__(self, block: Block) -> Delivery:
         if self._runner is None:
-            self._runner = BlockRunner(self.plan, self.folder or self._own_folder())
+            self._runner = BlockRunner(self.job, self.folder or self._own_folder())
         report = self._runner(block)
         part = self._runner.folder.part(block).path
         content = None

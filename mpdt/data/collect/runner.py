@@ -1,7 +1,7 @@
 """BlockRunner: what a worker does with one block: simulate it, keep its part, report its returns.
 
-One copy lives in each worker and keeps the ladder and the last simulator: building them takes
-longer than a short block.
+One copy lives in each worker and keeps the last simulator: building one takes longer than a short
+block.
 """
 
 from __future__ import annotations
@@ -12,13 +12,12 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
+from mpdt.data.collect.job import Job
 from mpdt.data.collect.parts import PartsFolder
-from mpdt.data.collect.plan import Block, Plan
+from mpdt.data.collect.plan import Block
 from mpdt.data.episode import Episode
 from mpdt.data.sim.batch import BatchEnv
-from mpdt.data.sim.ladder import Ladder, load_ladder
 from mpdt.data.sim.play import run_block
-from mpdt.data.sim.policies import Policy, UniformPolicy, ZeroPolicy
 from mpdt.data.sim.simulators import make_batch
 from mpdt.errors import DataError
 from mpdt.seeding import SeedKey
@@ -39,9 +38,8 @@ class BlockReport:
 class BlockRunner:
     """Callable on blocks; picklable before its first call."""
 
-    def __init__(self, plan: Plan, folder: PartsFolder) -> None:
-        self.plan, self.folder = plan, folder
-        self._ladder: Ladder | None = None
+    def __init__(self, job: Job, folder: PartsFolder) -> None:
+        self.job, self.folder = job, folder
         self._env: tuple[tuple[int, int], BatchEnv] | None = None
 
     def __call__(self, block: Block) -> BlockReport:
@@ -53,15 +51,15 @@ class BlockRunner:
         part = self.folder.part(block)
         returns = np.array([episode.episode_return for episode in episodes])
         if block.kind == "reference":
-            part.save_returns(returns, self.actor(block)[0])
+            part.save_returns(returns, self.job.actor(block)[0])
         else:
             part.save_episodes(episodes)
         return BlockReport(block, sum(episode.length for episode in episodes), returns)
 
     def simulate(self, block: Block) -> list[Episode]:
         """The episodes of a block, in order of their rows. A pure function of (spec, block)."""
-        plan = self.plan
-        policy, progress = self._policy(block)
+        plan = self.job.plan
+        policy, progress = self.job.policy(block)
         keys = block.keys(plan.family, plan.spec.seed)
         episodes: list[Episode] = []
         for first in range(0, block.rows, plan.width):
@@ -80,40 +78,20 @@ class BlockRunner:
             )
         return episodes
 
-    def actor(self, block: Block) -> tuple[bytes, float]:
-        """Hash of who acts in a block, and the progress stored with it."""
-        policy, progress = self._policy(block)
-        return policy.info.hash, progress
-
     def _goal_keys(self, block: Block, keys: list[SeedKey]) -> list[SeedKey] | None:
-        goals, rows = self.plan.spec.goals, self.plan.spec.block
+        goals, rows = self.job.spec.goals, self.job.spec.block
         if goals is None or block.kind == "reference":
             return None
-        if block.kind == "tta" and self.plan.spec.tta[block.name].tasks != "train":
+        if block.kind == "tta" and self.job.spec.tta[block.name].tasks != "train":
             return [goals.held_out_key(key, rows) for key in keys]
         return [goals.training_key(key, rows) for key in keys]
 
     def _batch(self, block: Block, rows: int) -> BatchEnv:
         wanted = (block.task.index, rows)
         if self._env is None or self._env[0] != wanted:
-            env = make_batch(self.plan.family, [block.task] * rows, self.plan.spec.env)
+            env = make_batch(self.job.plan.family, [block.task] * rows, self.job.spec.env)
             self._env = (wanted, env)
         return self._env[1]
-
-    def _policy(self, block: Block) -> tuple[Policy, float]:
-        """Who acts in a block, and its progress on the ladder."""
-        family = self.plan.family
-        if block.kind == "tta":
-            low, high = family.action_low, family.action_high
-            uniform = UniformPolicy(
-                family.action_size, low, high, block.action_scale, task=block.task.index
-            )
-            return uniform, 0.0
-        if block.name == "zero":
-            return ZeroPolicy(family.action_size, task=block.task.index), 0.0
-        if self._ladder is None:
-            self._ladder = load_ladder(self.plan.spec)
-        return self._ladder.policy(block.task, block.name, block.number)
 
 
 class Gap(Enum):

@@ -54,14 +54,15 @@ class Tta(Options):
     """Stop after the plan."""
 
     def run(self) -> None:
-        from mpdt.data.collect.add_tta import add_set, plan_set, stored_rule
+        from mpdt.data.collect.add_tta import add_set, set_job, stored_rule
         from mpdt.data.store.reader import open_dataset
         from mpdt.data.verbs.progress import show_progress
         from mpdt.data.workers.processes import default_workers
 
         dataset = open_dataset(self.file)
         rule, names = self.rule(stored_rule(dataset, self.name))
-        plan = plan_set(dataset, self.name, rule, names)
+        job = set_job(dataset, self.name, rule, names)
+        plan = job.plan
         workers = default_workers() if self.workers is None else self.workers
         tasks = list(dict.fromkeys(block.task.name for block in plan.blocks))
         planned = {"path": str(self.file), "set": self.name, "tasks": tasks,
@@ -74,9 +75,8 @@ class Tta(Options):
             return
         self.say(text)
         with show_progress(self.quiet) as tell:
-            done = add_set(self.file, self.name, rule, names, workers=workers,
-                           overwrite=self.overwrite, restart=self.restart,
-                           on_progress=tell)  # fmt: skip
+            done = add_set(dataset, job, workers=workers, overwrite=self.overwrite,
+                           restart=self.restart, on_progress=tell)  # fmt: skip
         for warning in done.warnings:
             self.say(f"warning: {warning}")
         added = done.dataset.tta[self.name]

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from mpdt.data.verbs.options import Names, Options, split_names
+from mpdt.data.verbs.options import Names, Options, split_names, split_steps
 
 if TYPE_CHECKING:
     from mpdt.data.collect.engine import Engine
+    from mpdt.data.collect.job import Job
     from mpdt.data.collect.plan import Plan
     from mpdt.data.lock.keeper import LockKeeper
+    from mpdt.data.spec.catalog import Catalog
     from mpdt.data.spec.entry import DatasetSpec
 
 Name = Annotated[Positional[str], arg(metavar="NAME")]
@@ -45,35 +47,31 @@ class Plans(Options):
     """Another datasets.yaml than ./datasets.yaml or the shipped one."""
 
     def run(self) -> None:
-        plan = self.checked_plan()
+        from mpdt.data.spec.catalog import load_catalog
+
+        plan = self.chosen_job(load_catalog(self.spec)).plan
         self.print(self.estimate(plan), self.estimate_text(plan))
 
-    def checked_plan(self) -> Plan:
-        """The plan of the chosen entry, which somebody can act; says where rates come from.
+    def chosen_job(self, catalog: Catalog) -> Job:
+        """The job of the chosen entry; says where rates and references come from.
 
         Raises: as `chosen_spec`; SpecError or UsageError for a behaviour that is not there.
         """
-        from mpdt.data.collect.plan import make_plan
-        from mpdt.data.sim.ladder import load_ladder
-        from mpdt.data.sim.references import find_records, local_notice
+        from mpdt.data.collect.job import make_job
 
-        spec = self.chosen_spec()
-        ladder = load_ladder(spec)
-        plan = make_plan(spec, find_records(spec, ladder))
-        for notice in (ladder.notice, local_notice(plan.records)):
-            if notice:
-                self.say(notice)
-        return plan
+        job = make_job(self.chosen_spec(catalog))
+        for notice in job.notices:
+            self.say(notice)
+        return job
 
-    def chosen_spec(self) -> DatasetSpec:
+    def chosen_spec(self, catalog: Catalog) -> DatasetSpec:
         """The entry with --tasks and --smoke applied. Raises: SpecError, UsageError."""
         import msgspec
 
-        from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.spec.entry import smoke
         from mpdt.data.spec.tasks import get_family
 
-        spec = load_catalog(self.spec).get(self.name)
+        spec = catalog.get(self.name)
         if self.tasks:
             family = get_family(spec.family)
             names = split_names(self.tasks)
@@ -150,16 +148,18 @@ class Collect(Plans):
             super().run()
             return
         from mpdt.data.collect.collect import collect
+        from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.verbs.describe import describe, level_table
         from mpdt.data.verbs.progress import show_progress
 
-        plan = self.checked_plan()
-        self.say(self.estimate_text(plan))
-        spec, target = plan.spec, self.target(plan.spec)
+        catalog = load_catalog(self.spec)
+        job = self.chosen_job(catalog)
+        self.say(self.estimate_text(job.plan))
+        target = self.target(job.spec)
         with show_progress(self.quiet) as tell:
             done = collect(
-                spec, target, engine=self.chosen_engine(), restart=self.restart,
-                lock=self.lock_keeper(), on_progress=tell,
+                job, target, engine=self.chosen_engine(), restart=self.restart,
+                lock=self.lock_keeper(catalog), on_progress=tell,
             )  # fmt: skip
         for warning in done.warnings:
             self.say(f"warning: {warning}")
@@ -189,14 +189,13 @@ class Collect(Plans):
                              hint="add --engine ray")  # fmt: skip
         return Processes(self.workers)
 
-    def lock_keeper(self) -> LockKeeper | None:
+    def lock_keeper(self, catalog: Catalog) -> LockKeeper | None:
         """The lock beside the catalog; none for some of an entry's tasks. Raises: UsageError.
 
         A smoke version has an entry of its own, which is compared but not added unasked.
         """
         from mpdt.data.lock.file import lock_path
         from mpdt.data.lock.keeper import LockKeeper
-        from mpdt.data.spec.catalog import load_catalog
         from mpdt.errors import UsageError
 
         if self.tasks:
@@ -204,7 +203,7 @@ class Collect(Plans):
                 raise UsageError("the lock holds whole entries",
                                  hint="leave --tasks or the lock out")  # fmt: skip
             return None
-        path = lock_path(load_catalog(self.spec).path)
+        path = lock_path(catalog.path)
         return LockKeeper(path, self.locked, self.update_lock, add=not self.smoke)
 
 
@@ -277,19 +276,9 @@ class Calibrate(Options):
 
         path = calibrate(
             load_catalog(self.spec).get(self.name), self.output,
-            horizons=_steps(self.horizons), seed=self.seed, restart=self.restart,
+            horizons=split_steps(self.horizons, where="--horizons"),
+            seed=self.seed, restart=self.restart,
             workers=default_workers() if self.workers is None else self.workers,
             on_progress=self.say,
         )  # fmt: skip
         self.print({"path": str(path)}, f"wrote  {path}")
-
-
-def _steps(words: Names) -> tuple[int, ...]:
-    """Episode lengths out of `--horizons`. Raises: UsageError for what is no length."""
-    from mpdt.errors import UsageError
-
-    names = split_names(words)
-    if wrong := [name for name in names if not name.isdigit() or int(name) == 0]:
-        raise UsageError("not an episode length", where="--horizons",
-                         expected="steps, such as 200,500", found=wrong[0])  # fmt: skip
-    return tuple(int(name) for name in names)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -13,8 +13,9 @@ import pytest
 
 from mpdt.data.cli import main
 from mpdt.data.collect import add_tta as tta
-from mpdt.data.collect.add_tta import add_set, plan_set
+from mpdt.data.collect.add_tta import Added, add_set, set_job
 from mpdt.data.collect.collect import collect
+from mpdt.data.collect.job import make_job
 from mpdt.data.collect.runner import BlockRunner
 from mpdt.data.sim.play import run_block
 from mpdt.data.spec import entry
@@ -28,14 +29,20 @@ Fakes = Callable[..., None]
 WIDE = TtaRule(episodes=5, action_scale=3.0, horizon=4, preset_return=7.1, tasks="all")
 
 
+def added(path: Path, name: str, rule: TtaRule, tasks: Sequence[str] = ()) -> Added:
+    """The set in the file, made in this process."""
+    dataset = open_dataset(path)
+    return add_set(dataset, set_job(dataset, name, rule, tasks), workers=0)
+
+
 def test_a_set_added_later_equals_one_collected_at_once(
     tiny_file: Path, tiny_spec: DatasetSpec, tmp_path: Path
 ) -> None:
     """Five episodes in blocks of three: two blocks per task."""
     both = msgspec.structs.replace(tiny_spec, tta=tiny_spec.tta | {"wide": WIDE})
-    at_once = collect(both, tmp_path / "both.h5", workers=0).dataset
+    at_once = collect(make_job(both), tmp_path / "both.h5", workers=0).dataset
     before = open_dataset(tiny_file)
-    later = add_set(tiny_file, "wide", WIDE, workers=0).dataset
+    later = added(tiny_file, "wide", WIDE).dataset
     assert later.tta["wide"].content_hash == at_once.tta["wide"].content_hash
     assert later.tta["default"].content_hash == before.tta["default"].content_hash
     assert later.content_hash == before.content_hash == at_once.content_hash
@@ -46,7 +53,9 @@ def test_a_set_added_later_equals_one_collected_at_once(
     ]  # fmt: skip
     check_digests(later)
     assert sorted(p.name for p in tiny_file.parent.iterdir() if p.is_dir()) == []
-    assert not collect(tiny_spec, tiny_file, workers=0).is_new, "the file is still complete"
+    assert not collect(make_job(tiny_spec), tiny_file, workers=0).is_new, (
+        "the file is still complete"
+    )
 
 
 @pytest.mark.parametrize("tasks", ["test", "train"])
@@ -67,10 +76,12 @@ def test_goals_are_those_of_a_collection(
     rule = msgspec.structs.replace(WIDE, tasks=tasks)
     spec = msgspec.structs.replace(tiny_spec, goals=GoalSet(count=6, held_out=2), tta={})
     made = tmp_path / "x.h5"
-    collect(msgspec.structs.replace(spec, tta={"wide": rule}), tmp_path / "y.h5", workers=0)
+    collect(
+        make_job(msgspec.structs.replace(spec, tta={"wide": rule})), tmp_path / "y.h5", workers=0
+    )
     at_once, asked[:] = list(asked), []
-    collect(spec, made, workers=0)
-    add_set(made, "wide", rule, workers=0)
+    collect(make_job(spec), made, workers=0)
+    added(made, "wide", rule)
     assert asked == at_once == {"test": [4, 5, 4, 5, 4], "train": [0, 1, 2, 3, 0]}[tasks] * 2
 
 
@@ -78,9 +89,11 @@ def test_a_role_that_no_task_has(tiny_file: Path, tiny_spec: DatasetSpec) -> Non
     dataset = open_dataset(tiny_file)
     spec = msgspec.to_builtins(msgspec.structs.replace(tiny_spec, test=("backward",)))
     split = replace(dataset, spec=spec)
-    assert {b.task.name for b in plan_set(split, "x", TtaRule(episodes=1)).blocks} == {"backward"}
+    assert {b.task.name for b in set_job(split, "x", TtaRule(episodes=1)).plan.blocks} == {
+        "backward"
+    }
     with pytest.raises(UsageError, match="no test task in this file"):
-        plan_set(split, "x", TtaRule(episodes=1), ["forward"])
+        set_job(split, "x", TtaRule(episodes=1), ["forward"])
 
 
 def test_an_interrupted_addition_goes_on(tiny_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,13 +108,13 @@ def test_an_interrupted_addition_goes_on(tiny_file: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(BlockRunner, "__call__", stop_at_third)
     with pytest.raises(KeyboardInterrupt):
-        add_set(tiny_file, "wide", WIDE, workers=0)
+        added(tiny_file, "wide", WIDE)
     assert tiny_file.read_bytes() == before
     other = msgspec.structs.replace(WIDE, horizon=3)
     with pytest.raises(DataError, match="horizon 4 -> 3") as caught:
-        add_set(tiny_file, "wide", other, workers=0)
+        added(tiny_file, "wide", other)
     assert "--restart" in caught.value.hint
-    add_set(tiny_file, "wide", WIDE, workers=0)
+    added(tiny_file, "wide", WIDE)
     assert len(blocks) == 3 + 2, "two of four blocks were done"
 
 
@@ -136,19 +149,19 @@ def test_single_tasks_and_what_is_printed(
 
 def test_mistakes(tiny_file: Path) -> None:
     with pytest.raises(SpecError, match=r"episodes: 0 is too small"):
-        add_set(tiny_file, "x", msgspec.structs.replace(WIDE, episodes=0), workers=0)
+        added(tiny_file, "x", msgspec.structs.replace(WIDE, episodes=0))
     with pytest.raises(UsageError, match="did you mean 'forward'"):
-        add_set(tiny_file, "x", WIDE, ["forwart"], workers=0)
+        added(tiny_file, "x", WIDE, ["forwart"])
     assert main(["tta", str(tiny_file), "--preset-return", "much"]) == 2
     foreign = replace(open_dataset(tiny_file), spec={})
     with pytest.raises(DataError, match="does not say how it was made"):
-        plan_set(foreign, "x", WIDE)
+        set_job(foreign, "x", WIDE)
 
 
 def test_other_packages_are_mentioned(tiny_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = tta.provenance.packages()
     monkeypatch.setattr(tta.provenance, "packages", lambda: real | {"mujoco": "9.9.9"})
-    done = add_set(tiny_file, "x", WIDE, workers=0)
+    done = added(tiny_file, "x", WIDE)
     assert [w.split(",")[0] for w in done.warnings] == ["made with mujoco 9.9.9"]
 
 

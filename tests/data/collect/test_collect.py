@@ -18,9 +18,9 @@ import pytest
 
 from mpdt.data.collect import levels
 from mpdt.data.collect.collect import collect
+from mpdt.data.collect.job import make_job
 from mpdt.data.collect.plan import make_plan
 from mpdt.data.reference import Reference, References
-from mpdt.data.sim import ladder
 from mpdt.data.sim.references import (
     LOCAL_FILE,
     Entry,
@@ -79,7 +79,7 @@ def test_references_that_are_not_stored_are_run(
     fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
 ) -> None:
     spec = msgspec.structs.replace(tiny_spec, episodes=EpisodeCounts(medium=2))
-    data = collect(spec, tmp_path / "x.h5", workers=0).dataset
+    data = collect(make_job(spec), tmp_path / "x.h5", workers=0).dataset
     assert data.num_episodes == 4
     assert data.tasks.ref_expert.tolist() == [5.0, 5.0]
     assert np.isfinite(data.tasks.ref_random).all()
@@ -94,14 +94,15 @@ def test_references_on_record_are_stored_and_change_no_content(
 
     A constant action cannot be chosen: `backward` is a training task too and not on record.
     """
-    task = make_plan(tiny_spec).tasks[0]
+    job = make_job(tiny_spec)
+    task = job.plan.tasks[0]
     place = place_of(tiny_spec, task, tiny_spec.horizon)
-    expert = expert_name(ladder.load_ladder(tiny_spec), task) if same_expert else "expert:0"
+    expert = expert_name(job.ladder, task) if same_expert else "expert:0"
     scores = {name: Score(20, 0.25, 1.0) for name in constant_names(6)}
     scores |= {"random": Score(40, 0.125, 2.0), expert: Score(80, 4.5, 4.0, 0.5)}
     entry = Entry(scene=place[0], horizon=place[1], env={}, scores=scores, seed=1, versions={})
     save_entries(Path(LOCAL_FILE), [entry], "")  # the working folder
-    data = collect(tiny_spec, tmp_path / "again.h5", workers=0).dataset
+    data = collect(make_job(tiny_spec), tmp_path / "again.h5", workers=0).dataset
     before = open_dataset(tiny_file)
     assert data.content_hash == before.content_hash
     forward, backward = data.tasks.references
@@ -129,7 +130,7 @@ def test_wide_tta_actions_are_stored_as_drawn(
 ) -> None:
     rule = msgspec.structs.replace(tiny_spec.tta["default"], action_scale=3.0, horizon=4)
     spec = msgspec.structs.replace(tiny_spec, tta={"wide": rule})
-    tta = collect(spec, tmp_path / "x.h5", workers=0).dataset.tta["wide"]
+    tta = collect(make_job(spec), tmp_path / "x.h5", workers=0).dataset.tta["wide"]
     assert 1.5 < np.abs(tta.actions).max() <= 3.0
     assert tta.length.tolist() == [4] * 4
 
@@ -150,7 +151,7 @@ def test_another_seed_gives_another_hash(
     fakes: Fakes, tiny_file: Path, tiny_spec: DatasetSpec, tmp_path: Path
 ) -> None:
     spec = msgspec.structs.replace(tiny_spec, seed=8)
-    other = collect(spec, tmp_path / "other.h5", workers=0).dataset
+    other = collect(make_job(spec), tmp_path / "other.h5", workers=0).dataset
     assert other.content_hash != open_dataset(tiny_file).content_hash
 
 
@@ -161,7 +162,7 @@ def test_qualities_out_of_order_write_nothing_and_keep_the_parts(
     fakes(medium)
     # rung 1 of history is the same policy, so only `medium` is at fault
     with pytest.raises(DataError, match=text) as caught:
-        collect(tiny_spec, tmp_path / "x.h5", workers=0)
+        collect(make_job(tiny_spec), tmp_path / "x.h5", workers=0)
     assert "forward" in str(caught.value) and "backward" in str(caught.value)
     assert caught.value.exit_code == 1
     assert "behaviour.rungs (now 3;" in caught.value.hint and ".parts" in caught.value.hint
@@ -174,7 +175,7 @@ def test_a_level_within_its_error_is_written_with_a_warning(
 ) -> None:
     monkeypatch.setattr(levels, "level_error", lambda *returns: 0.15)
     fakes(0.9)  # 0.25 outside, less than twice 0.15
-    done = collect(tiny_spec, tmp_path / "x.h5", workers=0)
+    done = collect(make_job(tiny_spec), tmp_path / "x.h5", workers=0)
     assert done.is_new and len(done.warnings) == 2
     assert "level 0.8" in done.warnings[0] and "+- 0.150" in done.warnings[0]
 
@@ -191,7 +192,7 @@ def test_scripts_are_sent_to_calibrate(tiny_spec: DatasetSpec) -> None:
 
 def test_a_smoke_version_only_warns(fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path) -> None:
     fakes(0.9)
-    done = collect(smoke_of(tiny_spec), tmp_path / "x.h5", workers=0)
+    done = collect(make_job(smoke_of(tiny_spec)), tmp_path / "x.h5", workers=0)
     assert len(done.warnings) == 2
     assert "forward: medium" in done.warnings[0]
 
@@ -201,7 +202,7 @@ def test_too_little_room_stops_before_anything_is_written(
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
     with pytest.raises(StorageError, match="not enough room"):
-        collect(tiny_spec, tmp_path / "x.h5", workers=0)
+        collect(make_job(tiny_spec), tmp_path / "x.h5", workers=0)
     assert not (tmp_path / "x.h5.parts").exists()
 
 
@@ -209,13 +210,13 @@ def test_a_missing_folder_is_an_error_not_a_new_folder(
     fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
 ) -> None:
     with pytest.raises(StorageError, match="does not exist"):
-        collect(tiny_spec, tmp_path / "no" / "x.h5", workers=0)
+        collect(make_job(tiny_spec), tmp_path / "no" / "x.h5", workers=0)
     assert not (tmp_path / "no").exists()
 
 
 def test_negative_workers(fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="negative"):
-        collect(tiny_spec, tmp_path / "x.h5", workers=-1)
+        collect(make_job(tiny_spec), tmp_path / "x.h5", workers=-1)
 
 
 def test_no_global_generator_is_touched(
@@ -227,5 +228,5 @@ def test_no_global_generator_is_touched(
         return random.getstate(), np.random.get_state()[1].tobytes()  # noqa: NPY002
 
     before = state()
-    collect(tiny_spec, tmp_path / "x.h5", workers=0)
+    collect(make_job(tiny_spec), tmp_path / "x.h5", workers=0)
     assert state() == before

@@ -1,6 +1,6 @@
 """collect where something is already: left alone if finished, gone on with, or refused.
 
-tiny has 2 x 11 blocks: see test_build.py.
+tiny has 2 x 11 blocks: see test_collect.py.
 """
 
 from __future__ import annotations
@@ -8,14 +8,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
 
-from mpdt.data.collect import collect as build
 from mpdt.data.collect.collect import Progress, collect, find_finished
+from mpdt.data.collect.job import make_job
 from mpdt.data.collect.parts import PartsFolder
-from mpdt.data.collect.plan import make_plan
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.store import provenance
 from mpdt.data.store.reader import open_dataset
@@ -27,9 +27,11 @@ Fakes = Callable[..., None]
 def test_a_finished_file_is_left_alone(
     tiny_file: Path, tiny_spec: DatasetSpec, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(build, "run_missing", None)  # would fail if anything were run
+    monkeypatch.setattr(
+        "mpdt.data.collect.collect.run_missing", None
+    )  # would fail if anything were run
     before = tiny_file.stat().st_mtime_ns
-    done = collect(tiny_spec, tiny_file, workers=0)
+    done = collect(make_job(tiny_spec), tiny_file, workers=0)
     assert not done.is_new
     assert tiny_file.stat().st_mtime_ns == before
 
@@ -39,13 +41,13 @@ def test_leftover_parts_of_a_finished_file_are_cleared(
 ) -> None:
     folder = PartsFolder(tiny_file)
     (folder.path / "blocks").mkdir(parents=True)
-    collect(tiny_spec, tiny_file, workers=0)
+    collect(make_job(tiny_spec), tiny_file, workers=0)
     assert not folder.path.exists()
 
 
 def test_restart_makes_the_same_content_again(tiny_file: Path, tiny_spec: DatasetSpec) -> None:
     before = open_dataset(tiny_file).content_hash
-    done = collect(tiny_spec, tiny_file, workers=0, restart=True)
+    done = collect(make_job(tiny_spec), tiny_file, workers=0, restart=True)
     assert done.is_new
     assert done.dataset.content_hash == before
 
@@ -54,18 +56,18 @@ def test_another_spec_is_refused_with_its_keys(tiny_file: Path, tiny_spec: Datas
     before = tiny_file.read_bytes()
     spec = msgspec.structs.replace(tiny_spec, version="1.1.0", block=2)
     with pytest.raises(DataError, match=r'block 3 -> 2; version "1\.0\.0" -> "1\.1\.0"') as caught:
-        collect(spec, tiny_file, workers=0)
+        collect(make_job(spec), tiny_file, workers=0)
     assert "--restart" in caught.value.hint
     assert caught.value.exit_code == 1
     assert tiny_file.read_bytes() == before
-    assert collect(spec, tiny_file, workers=0, restart=True).dataset.version == "1.1.0"
+    assert collect(make_job(spec), tiny_file, workers=0, restart=True).dataset.version == "1.1.0"
 
 
 def test_a_foreign_target_is_refused(fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path) -> None:
     target = tmp_path / "notes.h5"
     target.write_text("precious")
     with pytest.raises(DataError, match="not an HDF5 file"):
-        collect(tiny_spec, target, workers=0)
+        collect(make_job(tiny_spec), target, workers=0)
     assert target.read_text() == "precious"
 
 
@@ -80,14 +82,14 @@ def interrupt_after(blocks: int) -> Callable[[Progress], None]:
 def interrupted(spec: DatasetSpec, target: Path, blocks: int) -> Path:
     """`target` after a collection that was stopped when so many blocks were done."""
     with pytest.raises(KeyboardInterrupt):
-        collect(spec, target, workers=0, on_progress=interrupt_after(blocks))
+        collect(make_job(spec), target, workers=0, on_progress=interrupt_after(blocks))
     return target
 
 
 def test_an_interrupted_collection_goes_on(
     fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
 ) -> None:
-    whole = collect(tiny_spec, tmp_path / "whole.h5", workers=0).dataset
+    whole = collect(make_job(tiny_spec), tmp_path / "whole.h5", workers=0).dataset
     for _ in range(2):
         target = interrupted(tiny_spec, tmp_path / "x.h5", 5)
     assert not target.exists()
@@ -95,7 +97,7 @@ def test_an_interrupted_collection_goes_on(
     assert len(parts) == 10
     parts[3].write_bytes(parts[3].read_bytes()[:-50])
     seen: list[Progress] = []
-    done = collect(tiny_spec, target, workers=0, on_progress=seen.append)
+    done = collect(make_job(tiny_spec), target, workers=0, on_progress=seen.append)
     assert (seen[0].resumed_blocks, seen[0].damaged_blocks, seen[0].num_blocks) == (9, 1, 22)
     assert len(seen) == 1 + 22 - 9
     assert seen[-1].done_steps == seen[-1].num_steps == 2 * 20 * 5
@@ -114,7 +116,7 @@ def test_parts_of_other_rates_are_made_again_and_told_apart(
     assert names == {"forward-random-0", "forward-random-1", "forward-medium-0", "forward-medium-1"}
     fakes(0.45)
     seen: list[Progress] = []
-    collect(tiny_spec, target, workers=0, on_progress=seen.append)
+    collect(make_job(tiny_spec), target, workers=0, on_progress=seen.append)
     found = (seen[0].resumed_blocks, seen[0].damaged_blocks, seen[0].outdated_blocks)
     assert found == (2, 0, 2)
 
@@ -125,8 +127,8 @@ def test_parts_of_another_spec_are_refused(
     target = interrupted(tiny_spec, tmp_path / "x.h5", 5)
     other = msgspec.structs.replace(tiny_spec, horizon=6)
     with pytest.raises(DataError, match="horizon 5 -> 6"):
-        collect(other, target, workers=0)
-    assert collect(other, target, workers=0, restart=True).dataset.num_steps == 32 * 6
+        collect(make_job(other), target, workers=0)
+    assert collect(make_job(other), target, workers=0, restart=True).dataset.num_steps == 32 * 6
 
 
 def test_parts_of_another_mujoco_are_refused(
@@ -136,7 +138,7 @@ def test_parts_of_another_mujoco_are_refused(
     real = provenance.packages()
     monkeypatch.setattr(provenance, "packages", lambda: real | {"mujoco": "9.9.9"})
     with pytest.raises(DataError, match=r'versions\.mujoco .* -> "9\.9\.9"'):
-        collect(tiny_spec, target, workers=0)
+        collect(make_job(tiny_spec), target, workers=0)
 
 
 def test_a_second_collector_is_refused(
@@ -144,7 +146,7 @@ def test_a_second_collector_is_refused(
 ) -> None:
     target = tmp_path / "x.h5"
     with PartsFolder(target).locked(), pytest.raises(BusyError, match=str(os.getpid())) as caught:
-        collect(tiny_spec, target, workers=0)
+        collect(make_job(tiny_spec), target, workers=0)
     assert caught.value.exit_code == 4
 
 
@@ -154,7 +156,7 @@ def test_a_cut_out_is_not_the_finished_file(tiny_file: Path, tiny_spec: DatasetS
     target = tiny_file.with_name("cut.h5")
     cut_file(open_dataset(tiny_file), Cut(quality="expert"), target)
     with pytest.raises(DataError, match="cut out"):
-        find_finished(make_plan(tiny_spec), target, [])
+        find_finished(make_job(tiny_spec), target)
 
 
 def test_a_file_of_other_behaviour_weights_is_not_the_finished_file(
@@ -162,8 +164,9 @@ def test_a_file_of_other_behaviour_weights_is_not_the_finished_file(
 ) -> None:
     from dataclasses import replace
 
-    policies = open_dataset(tiny_file).policy_infos()
-    assert find_finished(make_plan(tiny_spec), tiny_file, policies) is not None
-    retrained = [replace(policy, hash=bytes(32)) for policy in policies]
+    job = make_job(tiny_spec)
+    assert find_finished(job, tiny_file) is not None
+    retrained = [replace(policy, hash=bytes(32)) for policy in job.policies]
+    other = replace(job, ladder=SimpleNamespace(policies=lambda tasks: retrained))
     with pytest.raises(DataError, match="other behaviour weights"):
-        find_finished(make_plan(tiny_spec), tiny_file, retrained)
+        find_finished(other, tiny_file)

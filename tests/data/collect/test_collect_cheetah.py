@@ -8,8 +8,9 @@ import msgspec
 import numpy as np
 
 from mpdt.data.collect.collect import collect
+from mpdt.data.collect.job import make_job
 from mpdt.data.collect.parts import PartsFolder
-from mpdt.data.collect.plan import Block, make_plan
+from mpdt.data.collect.plan import Block
 from mpdt.data.collect.runner import BlockRunner
 from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.catalog import load_catalog
@@ -29,7 +30,7 @@ def small_spec() -> DatasetSpec:
 def test_one_worker_equals_two(tmp_path: Path) -> None:
     hashes = set()
     for workers in (1, 2):
-        data = collect(small_spec(), tmp_path / f"{workers}.h5", workers=workers).dataset
+        data = collect(make_job(small_spec()), tmp_path / f"{workers}.h5", workers=workers).dataset
         hashes.add((data.content_hash, data.tta["default"].content_hash))
     assert len(hashes) == 1
     replay(tmp_path / "1.h5")
@@ -52,8 +53,8 @@ def replay(path: Path) -> None:
 
 def test_a_short_block_acts_like_the_head_of_a_full_one(tmp_path: Path) -> None:
     """Row 0 of a block of one row equals row 0 of a block of two, network and contacts included."""
-    plan = make_plan(small_spec())
-    runner = BlockRunner(plan, PartsFolder(tmp_path / "x.h5"))
+    job = make_job(small_spec())
+    plan, runner = job.plan, BlockRunner(job, PartsFolder(tmp_path / "x.h5"))
     (full, *_) = plan.of_kind("episodes", "expert")
     assert full.rows == plan.width == 2
     short = Block(**{**vars(full), "rows": 1})

@@ -11,8 +11,8 @@ import pytest
 from mpdt.data.collect import engine as engines
 from mpdt.data.collect.collect import collect
 from mpdt.data.collect.engine import Courier, RayCluster, decisive_versions
+from mpdt.data.collect.job import make_job
 from mpdt.data.collect.parts import PartsFolder
-from mpdt.data.collect.plan import make_plan
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.store.reader import open_dataset
 from mpdt.errors import SimulatorError
@@ -37,7 +37,7 @@ def test_a_cluster_makes_the_same_file(
     fakes()
     monkeypatch.setattr(engines, "map_blocks_ray", in_this_process)
     cluster = RayCluster(shared_folder=shared)
-    data = collect(tiny_spec, tmp_path / "x.h5", engine=cluster).dataset
+    data = collect(make_job(tiny_spec), tmp_path / "x.h5", engine=cluster).dataset
     assert data.content_hash == open_dataset(tiny_file).content_hash
 
 
@@ -45,8 +45,8 @@ def test_a_courier_leaves_nothing_on_its_node(
     fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path
 ) -> None:
     fakes()
-    plan = make_plan(tiny_spec)
-    courier = Courier(plan, None)
+    job = make_job(tiny_spec)
+    plan, courier = job.plan, Courier(job, None)
     delivery = courier(plan.blocks[0])
     assert courier._runner is not None
     assert delivery.content
@@ -73,5 +73,5 @@ def test_a_node_of_another_kind_is_refused(
 
     monkeypatch.setattr(engines, "map_blocks_ray", elsewhere)
     with pytest.raises(SimulatorError, match="cpu: a node of the cluster would make other bytes"):
-        collect(tiny_spec, tmp_path / "x.h5", engine=RayCluster())
+        collect(make_job(tiny_spec), tmp_path / "x.h5", engine=RayCluster())
     assert not (tmp_path / "x.h5").exists()

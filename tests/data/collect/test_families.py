@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.collect.collect import collect
+from mpdt.data.collect.job import make_job
 from mpdt.data.sim.calibration import load_calibrations
 from mpdt.data.sim.ladder import load_ladder
 from mpdt.data.sim.network import network_files
@@ -85,7 +86,7 @@ def test_one_and_two_workers_make_the_same_file(name: str, tmp_path: Path) -> No
     found = set()
     for workers in (1, 2):
         target = tmp_path / f"{workers}.h5"
-        data = collect(small(name), target, workers=workers).dataset
+        data = collect(make_job(small(name)), target, workers=workers).dataset
         found.add((data.content_hash, data.tta["default"].content_hash))
     assert len(found) == 1
     if CATALOG.get(name).goals is not None:

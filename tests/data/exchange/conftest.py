@@ -12,6 +12,7 @@ import pytest
 
 from mpdt.data.cli import main
 from mpdt.data.collect.collect import collect
+from mpdt.data.collect.job import make_job
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
@@ -79,7 +80,7 @@ def reach(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(path.parent)
         patch.setattr("os.fsync", lambda handle: None)
-        return collect(spec, path, workers=0).dataset.path
+        return collect(make_job(spec), path, workers=0).dataset.path
 
 
 @pytest.fixture(scope="session")
@@ -94,4 +95,4 @@ def cheetah(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(path.parent)
         patch.setattr("os.fsync", lambda handle: None)
-        return collect(spec, path, workers=0).dataset.path
+        return collect(make_job(spec), path, workers=0).dataset.path

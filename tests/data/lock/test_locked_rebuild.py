@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from mpdt.data.collect.collect import collect
+from mpdt.data.collect.job import make_job
 from mpdt.data.lock.claim import Claim
 from mpdt.data.lock.file import LockEntry, decisive_packages, read_lock
 from mpdt.data.lock.fingerprint import lost_runs, other_versions
@@ -30,7 +31,7 @@ def rebuild(name: str, folder: Path, tasks: tuple[str, ...] | None = None) -> Da
     spec = smoke(CATALOG.get(name))
     if tasks is not None:
         spec = msgspec.structs.replace(spec, tasks=tasks)
-    return collect(spec, folder / "x.h5", workers=1).dataset
+    return collect(make_job(spec), folder / "x.h5", workers=1).dataset
 
 
 def comparable(lost: list[str], entry: LockEntry, data: Dataset) -> list[str]:

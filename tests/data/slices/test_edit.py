@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.collect.collect import collect
+from mpdt.data.collect.job import make_job
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.slices.cut import Cut, cut_file
 from mpdt.data.slices.diff import diff
@@ -58,7 +59,7 @@ def test_tasks_collected_apart_and_a_longer_collection(
 ) -> None:
     def made(name: str, **changes: object) -> Dataset:
         spec = msgspec.structs.replace(tiny_spec, **changes)
-        return collect(spec, tmp_path / name, workers=0).dataset
+        return collect(make_job(spec), tmp_path / name, workers=0).dataset
 
     forward, backward = made("f.h5", tasks=("forward",)), made("b.h5", tasks=("backward",))
     both = merge([backward, forward], tmp_path / "fb.h5").dataset
@@ -76,11 +77,13 @@ def test_tasks_collected_apart_and_a_longer_collection(
 def test_contradictions_are_refused(
     fakes: Callable[..., None], tiny_spec: DatasetSpec, data: Dataset, tmp_path: Path
 ) -> None:
-    other = collect(msgspec.structs.replace(tiny_spec, seed=8), tmp_path / "o.h5", workers=0)
+    other = collect(
+        make_job(msgspec.structs.replace(tiny_spec, seed=8)), tmp_path / "o.h5", workers=0
+    )
     with pytest.raises(DataError, match=r"not made for one file: seed 7 -> 8"):
         merge([data, other.dataset], tmp_path / "x.h5")
     fakes(0.45)
-    weaker = collect(tiny_spec, tmp_path / "w.h5", workers=0).dataset
+    weaker = collect(make_job(tiny_spec), tmp_path / "w.h5", workers=0).dataset
     with pytest.raises(DataError, match="different episodes of one place") as caught:
         merge([data, weaker], tmp_path / "x.h5")
     assert "tiny.h5: episode 4" in str(caught.value) and "w.h5: episode 4" in str(caught.value)
@@ -151,7 +154,7 @@ def test_diff_names_tasks_runs_fields_and_header(
     spec = msgspec.structs.replace(
         tiny_spec, version="2.0.0", tasks=("forward",), episodes=counts, tta={}
     )
-    other = collect(spec, tmp_path / "o.h5", workers=0).dataset
+    other = collect(make_job(spec), tmp_path / "o.h5", workers=0).dataset
     found = diff(data, other)
     assert found.tasks_only_a == ["backward"] and found.tasks_only_b == []
     assert 'version "1.0.0" -> "2.0.0"' in found.header
