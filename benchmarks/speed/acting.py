@@ -24,7 +24,7 @@ import training
 ROWS, STEPS, K, PROMPT = 50, 4, training.K, training.PROMPT
 
 
-def loop(update: training.Update, rows: int) -> Any:
+def loop(update: training.Run, rows: int) -> Any:
     """A closed loop whose window is full."""
     import torch
 
@@ -38,7 +38,7 @@ def loop(update: training.Update, rows: int) -> Any:
     return made
 
 
-def together(update: training.Update) -> Callable[[], float]:
+def together(update: training.Run) -> Callable[[], float]:
     acting = loop(update, ROWS)
     seen = np.random.default_rng(0).standard_normal((STEPS, ROWS, update.policy.observation_size))
 
@@ -50,7 +50,7 @@ def together(update: training.Update) -> Callable[[], float]:
     return run
 
 
-def alone(update: training.Update) -> Callable[[], float]:
+def alone(update: training.Run) -> Callable[[], float]:
     """One row; its prompt is run again for every action."""
     import torch
 
@@ -68,7 +68,7 @@ def alone(update: training.Update) -> Callable[[], float]:
     return run
 
 
-def one_token(update: training.Update) -> Callable[[], float]:
+def one_token(update: training.Run) -> Callable[[], float]:
     """Blocks and head for one token per row, with keys and values of all others ready."""
     import torch
 
@@ -88,7 +88,7 @@ def one_token(update: training.Update) -> Callable[[], float]:
     return run
 
 
-def adapting(update: training.Update, at_once: bool) -> Callable[[], float]:
+def adapting(update: training.Run, at_once: bool) -> Callable[[], float]:
     """One update of P_c towards statistics of training; tasks done."""
     import torch
 

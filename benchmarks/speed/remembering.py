@@ -49,7 +49,7 @@ def train(path: Path) -> None:
 
     from mpdt.data.store.reader import open_dataset
 
-    update = training.Update(open_dataset(path), "random:prompt-dt", "float32", depth=2)
+    update = training.Run(open_dataset(path), "random:prompt-dt", "float32", depth=2)
     for _ in range(UPDATES):
         update.run()
 

@@ -2,7 +2,7 @@
 
     python benchmarks/speed/training.py [--rounds 3] [--keep]
 
-ours     `multitask.fit`: bfloat16 blocks where the processor multiplies it, the prompt of a task
+ours     `fit/loop.py`: bfloat16 blocks where the processor multiplies it, the prompt of a task
          run once for its 16 windows, frozen weights without gradients
 plain    the same loss in float32, every window behind a copy of its prompt
 peer     transformers' DecisionTransformerModel of the same width and depth in float32: three
@@ -27,7 +27,7 @@ DEPTH, TASKS, PER_TASK, K, PROMPT = 4, 4, 16, 20, 30
 SHAPES = {"GPT-2 small": "random:gpt2", "SmolLM2-135M": "random:smollm2-135m"}
 
 
-class Update:
+class Run:
     """Policy, prompts, optimiser and windows of one run; `dtype` auto is what users get."""
 
     def __init__(self, dataset: Any, backbone: str, dtype: str, depth: int = DEPTH) -> None:
@@ -61,11 +61,11 @@ class Update:
         self.done = 0
 
     def run(self) -> None:
-        from mpdt.train.fit.loop import fit
+        from mpdt.train.fit.loop import Update, fit
 
-        fit(self.policy, self.prompts, self.optimizer, self.sampler, self.returns, self.settings,
-            first_step=self.done, num_steps=self.done + 1,
-            on_step=lambda step, parts: False)  # fmt: skip
+        update = Update(self.policy, self.prompts, self.returns, self.sampler.seed)
+        fit(update, self.sampler, self.optimizer, self.settings,
+            range(self.done, self.done + 1), lambda step, parts: False)  # fmt: skip
         self.done += 1
 
     def plain(self) -> None:
@@ -100,7 +100,7 @@ class Update:
         return 4.0 * weights * tokens
 
 
-def decision_transformer(dataset: Any, ours: Update) -> Callable[[], None]:
+def decision_transformer(dataset: Any, ours: Run) -> Callable[[], None]:
     """transformers' own, at the width and depth of `ours`."""
     import torch
     from transformers import DecisionTransformerConfig, DecisionTransformerModel
@@ -153,12 +153,12 @@ def product(dtype: Any) -> tuple[Callable[[], None], float]:
     return run, 2.0 * times * tokens * width * 4 * width
 
 
-def updates() -> Iterator[tuple[str, Update, Update]]:
+def updates() -> Iterator[tuple[str, Run, Run]]:
     """Per shape of language model: as users get it, and in plain float32, on the same new data."""
     with tempfile.TemporaryDirectory(prefix="mpdt-bench-", dir=rounds.scratch()) as work:
         dataset = synthetic.write(Path(work) / "ml10.h5", "ml10", 10, 500)
         for name, backbone in SHAPES.items():
-            yield name, Update(dataset, backbone, "auto"), Update(dataset, backbone, "float32")
+            yield name, Run(dataset, backbone, "auto"), Run(dataset, backbone, "float32")
 
 
 def measure(report: rounds.Report) -> None:

@@ -30,7 +30,7 @@ from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import generator_at
-from mpdt.train.fit.loop import OptimiserSettings, fit, make_optimizer
+from mpdt.train.fit.loop import OptimiserSettings, Update, fit, make_optimizer
 
 Label = Literal["expert", "medium", "random", "mixed"]
 _LEVELS: dict[Label, tuple[str, ...]] = {
@@ -154,9 +154,9 @@ def tune(
                 on_step(done, parts)
             return False
 
-        fit(policy, prompts, make_optimizer(policy, prompts, rates), sampler, returns, rates,
-            first_step=0, num_steps=settings.updates, on_step=report,
-            phase="few-shot", rate="--few-shot.lr")  # fmt: skip
+        update = Update(policy, prompts, returns, seed, phase="few-shot", rate="--few-shot.lr")
+        fit(update, sampler, make_optimizer(policy, prompts, rates), rates,
+            range(settings.updates), report)  # fmt: skip
 
     if settings.tuned == "prompt":
         # A frozen twin that shares every number: only gradients to the prompt are wanted.

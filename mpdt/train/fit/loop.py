@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.data.slices.windows import WindowBatch
@@ -86,70 +87,89 @@ class MultitaskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
             check_at_least(f"multitask.{name}", getattr(self, name), least)
 
 
-def fit(
-    policy: PromptPolicy,
-    prompts: Prompts,
-    optimizer: torch.optim.AdamW,
-    sampler: WindowSampler,
-    returns: ReturnTable,
-    settings: OptimiserSettings,
-    *,
-    first_step: int,
-    num_steps: int,
-    on_step: Step,
-    teacher: Teacher | None = None,
-    distillation_weight: float = 0.0,
-    sparse: float = 0.0,
-    hardware: Hardware = PROCESSOR,
-    phase: str = "training",
-    rate: str = "--optimiser.lr",
-) -> int:
-    """Train from update `first_step` up to `num_steps`; returns the updates done.
+@dataclass(frozen=True)
+class Update:
+    """What is trained, and the losses that say where to.
 
     Args:
+        returns: one row per task, on the device of `hardware`.
+        seed: of dropout, the sampler's; a stream of its own beside the windows.
+        teacher: what the student is compared with; None for the teacher itself.
+        sparse: lambda_1 of the mean of |P_k|.
+        hardware: where the modules are, and who else trains them.
         phase, rate: what an error names, and the option that would help.
-        hardware: where the modules are, and who else trains them; losses are those of all.
+    """
+
+    policy: PromptPolicy
+    prompts: Prompts
+    returns: ReturnTable
+    seed: int
+    teacher: Teacher | None = None
+    sparse: float = 0.0
+    hardware: Hardware = PROCESSOR
+    phase: str = "training"
+    rate: str = "--optimiser.lr"
+
+    def losses(self, windows: WindowBatch, step: int) -> dict[str, Tensor]:
+        """Means over the real steps of these windows: `loss`, which is descended, and its parts."""
+        hardware, teacher = self.hardware, self.teacher
+        batch, slots = hardware.batch(windows), hardware.tensor(torch.from_numpy(windows.slots))
+        of_tasks, task_prompts = self.returns.select(slots), self.prompts.task_prompts(slots, step)
+        output = self.policy(
+            batch, task_prompts, of_tasks,
+            generator=torch_generator_at(self.seed, step, beside=Beside.DROPOUT),
+            layer_features=teacher is not None and teacher.needs_features,
+        )  # fmt: skip
+        assert batch.actions is not None
+        loss = action = action_loss(output.actions, batch.actions, batch.mask)
+        losses = {"action_loss": action}
+        if teacher is not None:
+            distilled = teacher.loss(batch, slots, task_prompts, output, of_tasks, hardware.group)
+            loss = loss + teacher.weight * distilled
+            losses["distillation_loss"] = distilled
+        if self.sparse and isinstance(self.prompts, DecomposedPrompts):
+            loss = loss + self.sparse * self.prompts.task_parts(slots).abs().mean()
+        return losses | {"loss": loss}
+
+
+def fit(
+    update: Update,
+    sampler: WindowSampler,
+    optimizer: torch.optim.AdamW,
+    settings: OptimiserSettings,
+    steps: range,
+    on_step: Step,
+) -> int:
+    """Do the updates `steps`; returns the number done, counted from the first of the phase.
+
+    Args:
+        steps: from where a checkpoint stopped to the last of the phase, where rates end.
+        on_step: told the losses of all processes together.
     Raises: TrainingError with step and windows if the loss is not a finite number.
     """
     trained = [p for rates in optimizer.param_groups for p in rates["params"]]
-    group, returns = hardware.group, hardware.returns(returns)
-    for step in range(first_step, num_steps):
+    hardware, group = update.hardware, update.hardware.group
+    for step in steps:
         for rates in optimizer.param_groups:
-            rates["lr"] = rates["base_lr"] * rate_factor(settings, step, num_steps)
+            rates["lr"] = rates["base_lr"] * rate_factor(settings, step, steps.stop)
         windows = group.share(sampler.batch(step))
-        batch, slots = hardware.batch(windows), hardware.tensor(torch.from_numpy(windows.slots))
         with hardware.autocast():
-            of_tasks, task_prompts = returns.select(slots), prompts.task_prompts(slots, step)
-            output = policy(
-                batch, task_prompts, of_tasks,
-                generator=torch_generator_at(sampler.seed, step, Beside.DROPOUT),
-                layer_features=teacher is not None and teacher.needs_features,
-            )  # fmt: skip
-            assert batch.actions is not None
-            loss = action = action_loss(output.actions, batch.actions, batch.mask)
-            losses = {"action_loss": action}
-            if teacher is not None:
-                distilled = teacher.loss(batch, slots, task_prompts, output, of_tasks, group)
-                loss = loss + distillation_weight * distilled
-                losses["distillation_loss"] = distilled
-            if sparse and isinstance(prompts, DecomposedPrompts):
-                loss = loss + sparse * prompts.task_parts(slots).abs().mean()
+            losses = update.losses(windows, step)
         optimizer.zero_grad(set_to_none=True)
-        weight = group.weight(batch.mask)
-        hardware.scaler.scale(weight * loss).backward()  # type: ignore[no-untyped-call]
+        weight = group.weight(hardware.tensor(torch.from_numpy(windows.mask)))
+        hardware.scaler.scale(weight * losses["loss"]).backward()  # type: ignore[no-untyped-call]
         group.add_gradients(trained)
         hardware.scaler.unscale_(optimizer)
         norm = nn.utils.clip_grad_norm_(trained, settings.clip or math.inf)
-        parts = {name: float(group.total(weight * value))
-                 for name, value in (losses | {"loss": loss}).items()}  # fmt: skip
+        parts = {name: float(group.total(weight * value)) for name, value in losses.items()}
         if hardware.accepts(norm):
             parts["gradient_norm"] = norm.item()
-        _stop_on_nan(parts, step, windows, phase, rate)
+        _stop_on_nan(parts, step, windows, update)
         hardware.scaler.step(optimizer)
         hardware.scaler.update()
         if on_step(step + 1, parts):
             return step + 1
-    return num_steps
+    return steps.stop
 
 
 def make_optimizer(
@@ -178,15 +198,13 @@ def rate_factor(settings: OptimiserSettings, step: int, num_steps: int) -> float
     return factor
 
 
-def _stop_on_nan(
-    parts: dict[str, float], step: int, windows: WindowBatch, phase: str, rate: str
-) -> None:
+def _stop_on_nan(parts: dict[str, float], step: int, windows: WindowBatch, update: Update) -> None:
     broken = [name for name, value in parts.items() if not math.isfinite(value)]
     if broken:
         raise TrainingError(
             f"{broken[0]} is {parts[broken[0]]} at step {step}",
-            where=phase,
+            where=update.phase,
             found=f"tasks {windows.tasks.tolist()}, episodes {windows.episodes.tolist()}, "
             f"starts {windows.starts.tolist()}",
-            hint=f"lower {rate}, or look for broken rows with mpdt-data verify",
+            hint=f"lower {update.rate}, or look for broken rows with mpdt-data verify",
         )

@@ -74,6 +74,11 @@ class Teacher(nn.Module):
         self._settings = settings
 
     @property
+    def weight(self) -> float:
+        """lambda: how much L_dis counts beside the action loss."""
+        return self._settings.weight
+
+    @property
     def needs_features(self) -> bool:
         """Whether the student's forward pass has to hand out layer features."""
         return self._settings.distillation == "mpt" and self._settings.hidden_weight > 0

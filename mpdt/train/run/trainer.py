@@ -30,7 +30,7 @@ from mpdt.train.fit.checkpoint import Checkpoint, Subject
 from mpdt.train.fit.data import Ids, Material, return_table
 from mpdt.train.fit.device import Hardware
 from mpdt.train.fit.group import ALONE, Group
-from mpdt.train.fit.loop import Prompts, TaskPrompts, fit, make_optimizer
+from mpdt.train.fit.loop import Prompts, TaskPrompts, Update, fit, make_optimizer
 from mpdt.train.fit.mixing import held_out_mixtures
 from mpdt.train.fit.reward import read_training_tasks
 from mpdt.train.fit.teacher import Teacher
@@ -252,12 +252,14 @@ class Trainer:
 
         hardware = Hardware(config.hardware, self.group)
         parts = [subject.policy, subject.prompts, *([teacher] if teacher else [])]
+        sampler = self.sampler(phase)
         with hardware.working(self.backbone, subject.optimizer, *parts):
-            return fit(
-                subject.policy, subject.prompts, subject.optimizer, self.sampler(phase),
-                self.returns, config.optimiser, first_step=first, num_steps=num_steps,
-                on_step=on_step, teacher=teacher, distillation_weight=config.teacher.weight,
-                sparse=config.multitask.sparse, hardware=hardware)  # fmt: skip
+            update = Update(
+                subject.policy, subject.prompts, hardware.returns(self.returns), sampler.seed,
+                teacher, config.multitask.sparse, hardware,
+            )  # fmt: skip
+            return fit(update, sampler, subject.optimizer, config.optimiser,
+                       range(first, num_steps), on_step)  # fmt: skip
 
 
 def prompt_norms(prompts: Prompts) -> dict[str, float]:

@@ -13,7 +13,7 @@ from mpdt.model.prompts import DecomposedPrompts, TeacherPrompts
 from mpdt.train.fit.checkpoint import Subject
 from mpdt.train.fit.data import load_material, return_table
 from mpdt.train.fit.device import PROCESSOR, Hardware, HardwareSettings
-from mpdt.train.fit.loop import OptimiserSettings, fit, make_optimizer
+from mpdt.train.fit.loop import OptimiserSettings, Update, fit, make_optimizer
 from mpdt.train.fit.teacher import Teacher, TeacherSettings
 from mpdt.train.run.presets import smoke
 from mpdt.train.run.progress import Progress
@@ -39,10 +39,10 @@ def losses(material, hardware, steps=4, dtype="float32"):
                       TeacherSettings())  # fmt: skip
     found = []
     with hardware.working(backbone, subject.optimizer, policy, prompts, teacher):
-        fit(policy, prompts, subject.optimizer, sampler(material),
-            return_table(material, "task", 0.9), OPTIMISER, first_step=0, num_steps=steps,
-            on_step=lambda done, parts: found.append(parts["loss"]) or False,
-            teacher=teacher, distillation_weight=0.9, hardware=hardware)  # fmt: skip
+        windows, returns = sampler(material), return_table(material, "task", 0.9)
+        update = Update(policy, prompts, returns, windows.seed, teacher, hardware=hardware)
+        fit(update, windows, subject.optimizer, OPTIMISER, range(steps),
+            lambda done, parts: found.append(parts["loss"]) or False)  # fmt: skip
     return found, subject
 
 

@@ -52,7 +52,7 @@ def run_updates(path: Path, group: Group) -> dict[str, object]:
     from mpdt.model.prompts import DecomposedPrompts, TeacherPrompts
     from mpdt.train.fit.data import load_material, return_table
     from mpdt.train.fit.device import Hardware, HardwareSettings
-    from mpdt.train.fit.loop import OptimiserSettings, fit, make_optimizer
+    from mpdt.train.fit.loop import OptimiserSettings, Update, fit, make_optimizer
     from mpdt.train.fit.teacher import Teacher, TeacherSettings
     from mpdt.train.run.presets import smoke
     from mpdt.train.run.progress import Progress
@@ -67,12 +67,12 @@ def run_updates(path: Path, group: Group) -> dict[str, object]:
     settings = OptimiserSettings(warmup_steps=1, lr=1e-2)
     taught = TeacherPrompts(config.prompts, 2, backbone.width, 0.2)
     found: list[dict[str, float]] = []
-    fit(policy, prompts, make_optimizer(policy, prompts, settings),
-        Trainer(material, config, None, None, Progress(True), None).sampler("student"),
-        return_table(material, "task", 0.9), settings, first_step=0, num_steps=STEPS,
-        on_step=lambda done, parts: found.append(parts) or False,
-        teacher=Teacher(policy, taught, TeacherSettings()), distillation_weight=0.9, sparse=0.01,
-        hardware=Hardware(HardwareSettings(), group))  # fmt: skip
+    sampler = Trainer(material, config, None, None, Progress(True), None).sampler("student")
+    update = Update(policy, prompts, return_table(material, "task", 0.9), sampler.seed,
+                    Teacher(policy, taught, TeacherSettings()), 0.01,
+                    Hardware(HardwareSettings(), group))  # fmt: skip
+    fit(update, sampler, make_optimizer(policy, prompts, settings), settings, range(STEPS),
+        lambda done, parts: found.append(parts) or False)  # fmt: skip
     return {"losses": found, "cross": prompts.cross.detach().tolist()}
 
 

@@ -15,6 +15,7 @@ from mpdt.train.fit.log import MetricsLog
 from mpdt.train.fit.loop import (
     MultitaskSettings,
     OptimiserSettings,
+    Update,
     fit,
     make_optimizer,
     rate_factor,
@@ -46,12 +47,10 @@ def make_subject(material, backbone, kind=DecomposedPrompts, optimiser=OPTIMISER
 
 
 def train(material, subject, first, last, on_step=lambda done, parts: False, **options):
-    trainer = Trainer(material, CONFIG, None, None, Progress(True), None)
-    return fit(
-        subject.policy, subject.prompts, subject.optimizer, trainer.sampler("student"),
-        return_table(material, "task", 0.9), OPTIMISER,
-        first_step=first, num_steps=last, on_step=on_step, **options,
-    )  # fmt: skip
+    sampler = Trainer(material, CONFIG, None, None, Progress(True), None).sampler("student")
+    returns = return_table(material, "task", 0.9)
+    update = Update(subject.policy, subject.prompts, returns, sampler.seed, **options)
+    return fit(update, sampler, subject.optimizer, OPTIMISER, range(first, last), on_step)
 
 
 def test_rates_by_hand():
@@ -124,7 +123,6 @@ def test_stop_and_resume_gives_the_bytes_of_an_unbroken_run(material, backbone, 
         subject = make_subject(material, backbone)
         return subject, {
             "teacher": Teacher(subject.policy, prompts, TeacherSettings()),
-            "distillation_weight": 0.9,
             "sparse": 0.01,
         }
 
@@ -181,9 +179,9 @@ def test_settings_of_the_second_phase_out_of_range(wrong):
 def test_the_loss_is_action_plus_weighted_distillation(material, backbone):
     subject, seen = make_subject(material, backbone), []
     prompts = TeacherPrompts(CONFIG.prompts, 2, backbone.width, 0.2)
-    teacher = Teacher(subject.policy, prompts, TeacherSettings(distillation="prompt"))
+    teacher = Teacher(subject.policy, prompts, TeacherSettings(distillation="prompt", weight=0.5))
     train(material, subject, 0, 1, lambda done, parts: seen.append(parts),
-          teacher=teacher, distillation_weight=0.5)  # fmt: skip
+          teacher=teacher)  # fmt: skip
     parts = seen[0]
     assert parts["distillation_loss"] > 0
     assert math.isclose(
