@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from mpdt.train.evaluate.tables import render_markdown
+from mpdt.draw.table import markdown_page
+from mpdt.train.evaluate.tables import NORMALISED
 from mpdt.train.report.study_tables import report_tables
 from mpdt.train.study.plans import STUDIES
 from mpdt.train.study.study import config_hash, configure
@@ -26,7 +27,7 @@ def cells(study):
 
 def test_tables_are_fresh(cells, study):
     """Else: make results"""
-    fresh = render_markdown({"name": study}, report_tables(cells, study))
+    fresh = markdown_page({"name": study}, report_tables(cells, study), NORMALISED)
     assert (PAGES[study] / "tables.md").read_text() == fresh
     assert (PAGES[study] / "tables.csv").read_text() == cells_csv(cells)
 

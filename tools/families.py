@@ -23,6 +23,7 @@ import numpy as np
 
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
+from mpdt.draw.table import markdown_table
 
 FAMILIES = ("cheetah_dir", "cheetah_vel", "ant_dir", "ml10", "ml45", "mt10", "mt50")
 PAGE = Path(__file__).parent.parent / "docs" / "datasets.md"
@@ -99,11 +100,6 @@ def task_rows(data: Dataset) -> list[list[str]]:
     return rows
 
 
-def table(heading: list[str], rows: list[list[str]]) -> str:
-    lines = [heading, ["---"] * 1 + ["---:"] * (len(heading) - 1), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
 def write(folder: Path) -> None:
     paths = [path for name in FAMILIES if (path := folder / f"{name}.h5").exists()]
     datas = [open_dataset(path) for path in paths]
@@ -115,7 +111,7 @@ def write(folder: Path) -> None:
         "Returns are means over tasks and episodes in each task's own reward; episodes are "
         "stored + test-time adaptation; minutes are wall-clock on two cores "
         f"({', '.join(machines) or 'not measured'}; * = resumed, last attempt only).\n",
-        table(
+        markdown_table(
             [*HEADING, *QUALITIES, "success r / m / e", "content"],
             [family_row(data, note) for data, note in zip(datas, notes, strict=True)],
         ),
@@ -128,7 +124,7 @@ def write(folder: Path) -> None:
         heading += [*QUALITIES, "level"]
         if data.steps.successes is not None:
             heading.append("success r / m / e")
-        text += [f"\n## {data.name}\n", table(heading, task_rows(data))]
+        text += [f"\n## {data.name}\n", markdown_table(heading, task_rows(data))]
     PAGE.write_text("\n".join(text) + "\n")
     print(f"written  {PAGE}  {len(datas)} datasets")
 

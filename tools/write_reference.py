@@ -93,6 +93,8 @@ def option_list() -> str:
 
 
 def cli_page() -> str:
+    from mpdt.draw.table import markdown_table
+
     parts = [f"# Command lines\n\n{WRITTEN} `-h` prints the same.\n\n"
              f"Every verb of mpdt-data takes {', '.join(f'`{word}`' for word in COMMON)} too: one "
              "JSON document on stdout, nothing on stderr, tracebacks, colour `auto` or `never`. "
@@ -108,14 +110,9 @@ def cli_page() -> str:
         rows = [one for one in options(command, config)
                 if not (config and any(word in one.words for word in COMMON))]  # fmt: skip
         if rows:
-            parts.append("\n| | | |\n|---|---|---|\n")
-            parts += [f"| `{_cell(one.words)}` | {_cell(one.help)} | {_cell(one.default)} |\n"
-                      for one in rows]  # fmt: skip
+            cells = [(f"`{one.words}`", one.help, one.default) for one in rows]
+            parts.append("\n" + markdown_table(("", "", ""), cells, numbers=False) + "\n")
     return "".join(parts)
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
 
 
 # ---- the Python interface ----

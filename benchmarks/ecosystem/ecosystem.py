@@ -23,6 +23,7 @@ from typing import Any
 
 from mpdt.data.exchange.formats import FORMATS
 from mpdt.data.store.reader import open_dataset
+from mpdt.draw.table import markdown_table
 
 ROOT = Path(__file__).parents[2]
 HOME = ROOT / "build/ecosystem"
@@ -140,12 +141,12 @@ def run(
 
 
 def table(checks: list[dict[str, Any]]) -> str:
-    lines = ["| peer | version | format | read | left out |", "|---|---|---|---|---|"]
-    for one in checks:
-        text = one["read"] if one["passed"] else f"FAILED: {one['read']}"
-        cells = (one["peer"], one["version"], one["format"], text, one["left_out"])
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    rows = [
+        (one["peer"], one["version"], one["format"],
+         one["read"] if one["passed"] else f"FAILED: {one['read']}", one["left_out"])
+        for one in checks
+    ]  # fmt: skip
+    return markdown_table(("peer", "version", "format", "read", "left out"), rows, numbers=False)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,8 @@ from typing import Any
 
 from misses import FLOORS, MISSES
 
+from mpdt.draw.table import markdown_table
+
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results" / "bench"
 PATHS = {
@@ -46,18 +48,13 @@ def number(value: float) -> str:
     return f"{value:,.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.2e}"
 
 
-def table(heading: list[str], rows: list[list[str]]) -> str:
-    lines = [heading, ["---"] + ["---:"] * (len(heading) - 1), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
-
-
 def case_table(case: dict[str, Any]) -> str:
     rows = [
         [f"{row['kind']}: {row['name']}", number(row["rate"]), f"{row['ours_over_this']:.2f} x"]
         for row in case["rows"]
     ]
     text = f"\n**{case['case']}** ({case['rounds']} rounds)\n\n"
-    text += table(["", case["unit"], "ours is"], rows)
+    text += markdown_table(["", case["unit"], "ours is"], rows) + "\n"
     return text + (f"\n{case['note'][0].upper()}{case['note'][1:]}.\n" if case["note"] else "")
 
 
@@ -87,7 +84,7 @@ def section(path: str, title: str, record: dict[str, Any]) -> str:
              f"{number(fact['value'])} {fact['unit']}"]
             for fact in record["facts"]
         ]  # fmt: skip
-        text += "\n" + table(["", "measured"], rows)
+        text += "\n" + markdown_table(["", "measured"], rows) + "\n"
     missed = any("missed" in row[-1] for row in verdicts(record))
     if missed and path in MISSES:
         text += f"\n**What stands in the way.** {MISSES[path]}\n"
@@ -120,7 +117,7 @@ def main() -> None:
     rows = [row for record in records.values() for row in verdicts(record)]
     met = sum("missed" not in row[-1] for row in rows)
     text += f"\n## Targets: {met} of {len(rows)} met\n\n"
-    text += table(["what", "target", "measured", ""], rows)
+    text += markdown_table(["what", "target", "measured", ""], rows) + "\n"
     for path, title in PATHS.items():
         if path in records:
             text += section(path, title, records[path])

@@ -10,6 +10,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from mpdt.draw.table import markdown_table
+
 ROOT = Path(__file__).parents[2]
 HEAD = """# What was done to the data, and what it withstood
 
@@ -38,11 +40,6 @@ Written by `make trust` from `results/trust/`; do not edit. Small versions of al
 """
 
 
-def table(heading: list[str], rows: list[list[Any]]) -> str:
-    lines = [heading, ["---"] + ["---:"] * (len(heading) - 1), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
-
-
 def torture(found: dict[str, Any]) -> str:
     where = {k.removeprefix("in "): v for k, v in found.items() if k.startswith("in ")}
     signals = {k: v for k, v in found.items() if k.startswith("SIG")}
@@ -54,7 +51,7 @@ def torture(found: dict[str, Any]) -> str:
         f"{found['seconds'] / 60:.0f} min, a third of them aimed at the pack. "
         "After each the target was absent or whole; "
         f"{compared} finished files had the content hash of the undisturbed run; no worker "
-        "outlived its collector.\n\n" + table(["killed in / by", "times"], cells)
+        "outlived its collector.\n\n" + markdown_table(["killed in / by", "times"], cells)
     )
 
 
@@ -74,7 +71,7 @@ def fuzz(found: dict[str, Any]) -> str:
         "now says something else and may (an entry is what its author writes; its hash changes "
         "with it); crash or hang = inside libhdf5; missed = read as good although it differs, or a "
         "traceback.\n\n"
-        + table(
+        + markdown_table(
             ["damage", "files", "found", "unchanged", "accepted", "crash or hang", "missed"], rows
         )
     )
@@ -88,7 +85,7 @@ def clusters(found: dict[str, Any]) -> str:
     return (
         "\n## A cluster that loses a node\n\n`python benchmarks/trust/clusters.py`: two Ray nodes "
         "on one machine, the second one killed while blocks were running on it.\n\n"
-        + table(["engine", "content", "node killed after blocks", "seconds"], rows)
+        + markdown_table(["engine", "content", "node killed after blocks", "seconds"], rows)
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from mpdt.data.sim.book import read_book, write_book
 from mpdt.disk import check_replaceable
+from mpdt.draw.table import markdown_table
 
 FORMAT = "mpdt-calibration/1"
 LOCAL_FILE = "metaworld.calibration.json"
@@ -127,14 +128,10 @@ def table(entries: Sequence[Calibration]) -> str:
 
     r / m / e = random / medium / expert. Written into docs/calibration.md.
     """
-    lines = [
-        "| task | steps | rate | level | return r / m / e | success r / m / e | episodes r / m / e "
-        "| monotone |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    rows = []
     for entry in sorted(entries, key=lambda entry: (entry.task, entry.horizon)):
         three = (entry.random, entry.medium, entry.expert)
-        columns = (
+        rows.append((
             entry.task,
             f"{entry.horizon}",
             f"{entry.rate:.3f}",
@@ -143,6 +140,7 @@ def table(entries: Sequence[Calibration]) -> str:
             " / ".join(f"{found.success:.2f}" for found in three),
             " / ".join(f"{found.episodes}" for found in three),
             "yes" if entry.monotone else "no",
-        )
-        lines.append("| " + " | ".join(columns) + " |")
-    return "\n".join(lines) + "\n"
+        ))  # fmt: skip
+    columns = ("task", "steps", "rate", "level", "return r / m / e", "success r / m / e",
+               "episodes r / m / e", "monotone")  # fmt: skip
+    return markdown_table(columns, rows) + "\n"

@@ -46,8 +46,7 @@ class Verify(Options):
         from mpdt.data.lock.file import lock_path
         from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.verify.finding import Outcome
-        from mpdt.data.verify.markdown import markdown
-        from mpdt.data.verify.verify import summary, verify
+        from mpdt.data.verify.verify import markdown, summary, verify
         from mpdt.disk import disk, replacing
         from mpdt.errors import DataError
 

@@ -32,6 +32,7 @@ from mpdt.data.verify.shapes import check_shapes
 from mpdt.data.verify.streaming import StepCheck
 from mpdt.data.verify.tta import check_tta
 from mpdt.data.verify.values import ValuesCheck
+from mpdt.draw.table import markdown_table
 from mpdt.errors import FormatError, MpdtError, unknown_name
 
 CHECKS = (
@@ -179,3 +180,14 @@ def summary(findings: Iterable[Finding]) -> str:
     if counts[Outcome.SKIP]:
         words.append(f"{counts[Outcome.SKIP]} skipped")
     return ", ".join(words)
+
+
+def markdown(report: Report) -> str:
+    """The findings as a page; the file by its name only, so that the page tells no path."""
+    rows = [
+        (one.id, one.outcome.value, one.text, f"`{one.hint}`" if one.hint else "")
+        for one in report.findings
+    ]
+    table = markdown_table(("check", "outcome", "finding", "next"), rows, numbers=False)
+    known = f"Content `{report.content_hash or 'unknown'}`: {summary(report.findings)}."
+    return f"# mpdt-data verify {report.path.name}\n\n{known}\n\n{table}\n"

@@ -1,4 +1,4 @@
-"""Scores -> tables, on the terminal (rich) and as report.md.
+"""Scores -> tables, for the terminal and report.md (`draw/table.py` draws both).
 
 Two tables per block of tasks: every task beside every method, and the mean over tasks with
 its interval. The trivial rows (zero action, random, best constant) stand in every table:
@@ -7,28 +7,15 @@ without them a few dozen return points look like learning.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
+from mpdt.draw.table import Table
 from mpdt.train.evaluate.score import MEAN, Block, Score
-
-if TYPE_CHECKING:
-    from rich.table import Table as RichTable
 
 BLOCKS: tuple[tuple[Block, str], ...] = (("train", "training"), ("test", "test"))
 NOT_MEASURED = "not measured"
-
-
-@dataclass(frozen=True)
-class Table:
-    """Text cells, ready to be drawn either way."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
-    """Lines below the table."""
+NORMALISED = "normalised = (return - random) / (expert - random), mean over tasks."
+"""What stands below the tables of a page."""
 
 
 def build_tables(scores: Sequence[Score]) -> list[Table]:
@@ -43,6 +30,7 @@ def build_tables(scores: Sequence[Score]) -> list[Table]:
             title = test_title(scores)
         methods = list(dict.fromkeys(score.method for score in chosen))
         tasks = list(dict.fromkeys(score.task for score in chosen))
+        has_mean = tasks[-1] == MEAN
         at = {(score.task, score.method): score for score in chosen}
         rows = tuple(
             (task, *(_cell(at.get((task, method))) for method in methods)) for task in tasks
@@ -51,7 +39,7 @@ def build_tables(scores: Sequence[Score]) -> list[Table]:
         note = ": return [95 % interval over seeds]" + (" success" if has_success else "")
         note += " (normalised)"
         verdicts = tuple(_verdicts(chosen, methods, kind))
-        tables.append(Table(title + note, ("task", *methods), rows, verdicts))
+        tables.append(Table(title + note, ("task", *methods), rows, verdicts, int(has_mean)))
         told = any(score.reads for score in chosen)
         means = tuple(
             _mean_row(method, at.get((MEAN, method)), has_success, told) for method in methods
@@ -89,40 +77,6 @@ def _verdicts(scores: Sequence[Score], methods: Sequence[str], kind: str) -> Ite
                 f"{method} beats zero action and random (intervals apart): "
                 f"{sum(verdicts)} of {len(verdicts)} {kind} tasks"
             )
-
-
-def render_markdown(header: Mapping[str, str], tables: Sequence[Table]) -> str:
-    """report.md: what the run was, then the tables."""
-    parts = ["# " + header.get("name", "run"), ""]
-    parts += [f"- {key}: {value}" for key, value in header.items() if key != "name"]
-    for table in tables:
-        parts += ["", f"## {table.title}", "", _line(table.columns)]
-        parts.append(_line(["---"] + ["---:"] * (len(table.columns) - 1)))
-        parts += [_line(row) for row in table.rows]
-        for note in table.notes:
-            parts += ["", note]
-    parts += ["", "normalised = (return - random) / (expert - random), mean over tasks."]
-    return "\n".join(parts) + "\n"
-
-
-def rich_tables(tables: Sequence[Table]) -> list[RichTable]:
-    from rich.table import Table as RichTable
-
-    drawn = []
-    for table in tables:
-        rich = RichTable(title=table.title, title_justify="left")
-        for i, column in enumerate(table.columns):
-            rich.add_column(column, justify="right" if i else "left", no_wrap=not i)
-        for i, row in enumerate(table.rows):
-            follower = table.rows[i + 1][0] if i + 1 < len(table.rows) else ""
-            rich.add_row(*row, end_section=follower == MEAN)
-        rich.caption, rich.caption_justify = "\n".join(table.notes) or None, "left"
-        drawn.append(rich)
-    return drawn
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def _number(value: float) -> str:

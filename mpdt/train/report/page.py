@@ -18,9 +18,10 @@ from typing import Any
 import mpdt
 from mpdt.draw.chart import Chart, Dot, axis_over, row_chart
 from mpdt.draw.html import picture, render, write_page
+from mpdt.draw.table import Table
 from mpdt.errors import MpdtError
 from mpdt.train.evaluate.score import MEAN, Block, Score
-from mpdt.train.evaluate.tables import BLOCKS, Table, build_tables
+from mpdt.train.evaluate.tables import BLOCKS, build_tables
 from mpdt.train.report.charts import (
     Curves,
     adaptation_chart,

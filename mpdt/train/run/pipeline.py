@@ -12,10 +12,11 @@ from typing import Any
 import torch
 
 from mpdt.disk import disk
+from mpdt.draw.table import markdown_page
 from mpdt.errors import MissingFileError, UsageError
 from mpdt.model.backbone import from_settings
 from mpdt.train.evaluate.score import encode_results, write_atomic
-from mpdt.train.evaluate.tables import build_tables, render_markdown
+from mpdt.train.evaluate.tables import NORMALISED, build_tables
 from mpdt.train.fit.data import Material, load_material
 from mpdt.train.fit.group import Group
 from mpdt.train.run.config import TrainConfig, to_plain
@@ -123,7 +124,7 @@ def _train_and_judge(trainer: Trainer, name: str, identity: Identity) -> dict[st
     # results.json goes first and comes last: it is what marks a run as done.
     with disk(folder.results):
         set_aside(folder)
-    write_atomic(folder.report, render_markdown(facts, build_tables(scores)).encode())
+    write_atomic(folder.report, markdown_page(facts, build_tables(scores), NORMALISED).encode())
     write_atomic(folder.results, content)
     with disk(folder.path):
         folder.judged(identity.hashes["judging"]).unlink(missing_ok=True)

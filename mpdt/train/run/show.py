@@ -12,9 +12,10 @@ from typing import Any
 
 import msgspec
 
+from mpdt.draw.table import rich_tables
 from mpdt.errors import FormatError, MissingFileError
 from mpdt.train.evaluate.score import Score
-from mpdt.train.evaluate.tables import build_tables, rich_tables
+from mpdt.train.evaluate.tables import build_tables
 from mpdt.train.run.config import TrainConfig, to_plain
 from mpdt.train.run.folder import RunFolder
 

@@ -16,8 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from mpdt.draw.table import Table
 from mpdt.train.evaluate.score import MEAN, REFERENCES, ZERO
-from mpdt.train.evaluate.tables import Table
 from mpdt.train.study.summary import CellResult, Row, summarise
 
 Verdict = Literal["confirmed", "reversed", "not confirmed", "not run"]

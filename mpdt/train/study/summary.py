@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.draw.table import Table
 from mpdt.train.evaluate.aggregate import iqm, seed_interval, stratified_interval
 from mpdt.train.evaluate.score import MEAN, REFERENCES, Block, Score
-from mpdt.train.evaluate.tables import Table
 from mpdt.train.study.cells import read_cell_files
 from mpdt.train.study.plans import STUDIES
 

@@ -2,8 +2,9 @@
 
 import pytest
 
+from mpdt.draw.table import markdown_page, rich_tables
 from mpdt.train.evaluate.score import MEAN, Score
-from mpdt.train.evaluate.tables import NOT_MEASURED, build_tables, render_markdown, rich_tables
+from mpdt.train.evaluate.tables import NOT_MEASURED, build_tables
 
 NAN = float("nan")
 
@@ -59,7 +60,7 @@ def test_verdicts_stand_below_the_table_of_their_block():
     )
     line = "MPDT beats zero action and random (intervals apart): 2 of 3 training tasks"
     assert [table.notes for table in tables] == [(line,), (), (), ()]
-    text = render_markdown({}, tables)
+    text = markdown_page({}, tables)
     assert f"|\n\n{line}\n\n## " in text
     assert rich_tables(tables)[0].caption == line
 
@@ -91,7 +92,7 @@ def test_a_column_says_what_was_read_of_the_test_tasks():
 
 def test_markdown_and_terminal_hold_the_same_cells():
     tables = build_tables(SCORES)
-    text = render_markdown({"name": "demo", "data": "x.h5"}, tables)
+    text = markdown_page({"name": "demo", "data": "x.h5"}, tables)
     assert text.startswith("# demo\n\n- data: x.h5\n")
     assert "| run | 0.0 | 1234 [1200, 1300] 80% (0.50) |" in text
     assert [len(table.columns) for table in rich_tables(tables)] == [3, 5]

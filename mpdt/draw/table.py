@@ -1,0 +1,70 @@
+"""Table: text cells, drawn as Markdown for pages and as a rich table for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells under named columns, the first of which names the row.
+
+    Args:
+        notes: lines below the table.
+        closing: the last so many rows sum up those above and stand apart on the terminal.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+    closing: int = 0
+
+
+def markdown_table(
+    columns: Sequence[str], rows: Iterable[Sequence[object]], numbers: bool = True
+) -> str:
+    """Lines of a table; a `|` within a cell is escaped.
+
+    Args:
+        numbers: all columns but the first stand to the right.
+    """
+    rule = ["---"] + ["---:" if numbers else "---"] * (len(columns) - 1)
+    return "\n".join(_line(cells) for cells in (columns, rule, *rows))
+
+
+def markdown_page(header: Mapping[str, str], tables: Sequence[Table], closing: str = "") -> str:
+    """A page named `header["name"]`: the rest of the header as a list, the tables, a last line."""
+    parts = ["# " + header.get("name", "run"), ""]
+    parts += [f"- {key}: {value}" for key, value in header.items() if key != "name"]
+    for table in tables:
+        parts += ["", f"## {table.title}", "", markdown_table(table.columns, table.rows)]
+        for note in table.notes:
+            parts += ["", note]
+    parts += ["", closing] if closing else []
+    return "\n".join(parts) + "\n"
+
+
+def rich_tables(tables: Sequence[Table]) -> list[RichTable]:
+    """The same for a `rich.console.Console`."""
+    from rich.table import Table as RichTable
+
+    drawn = []
+    for table in tables:
+        rich = RichTable(title=table.title, title_justify="left")
+        for i, column in enumerate(table.columns):
+            rich.add_column(column, justify="right" if i else "left", no_wrap=not i)
+        for i, row in enumerate(table.rows):
+            rich.add_row(*row, end_section=i + 1 == len(table.rows) - table.closing)
+        rich.caption, rich.caption_justify = "\n".join(table.notes) or None, "left"
+        drawn.append(rich)
+    return drawn
+
+
+def _line(cells: Iterable[object]) -> str:
+    return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"
