@@ -2,22 +2,22 @@
 
     python benchmarks/speed/performance_page.py
 
-Numbers and verdicts come from the files; what is said about a miss stands in misses.py and is
-printed only where a target was missed.
+Numbers and verdicts come from the files; what is said about a miss stands in misses.toml and
+is printed only where a target was missed.
 """
 
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
-
-from misses import FLOORS, MISSES
 
 from mpdt.draw.table import markdown_table
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results" / "bench"
+KNOWN = tomllib.loads(Path(__file__).with_name("misses.toml").read_text())
 PATHS = {
     "collecting": "Collecting cheetah and ant",
     "metaworld": "Collecting Meta-World",
@@ -86,10 +86,11 @@ def section(path: str, title: str, record: dict[str, Any]) -> str:
         ]  # fmt: skip
         text += "\n" + markdown_table(["", "measured"], rows) + "\n"
     missed = any("missed" in row[-1] for row in verdicts(record))
-    if missed and path in MISSES:
-        text += f"\n**What stands in the way.** {MISSES[path]}\n"
-    if path in FLOORS:
-        text += f"\n**What the next factor of two would need.** {FLOORS[path]}\n"
+    known = KNOWN.get(path, {})
+    if missed and "in_the_way" in known:
+        text += f"\n**What stands in the way.** {known['in_the_way']}\n"
+    if "next_factor_of_two" in known:
+        text += f"\n**What the next factor of two would need.** {known['next_factor_of_two']}\n"
     return text
 
 
