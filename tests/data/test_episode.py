@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from makers import make_episode
 
 from mpdt.data.episode import QUALITY_CODES, Episode, returns_to_go
 from mpdt.errors import DataError, ShapeError
@@ -10,20 +11,11 @@ from mpdt.errors import DataError, ShapeError
 def episode(**changes) -> Episode:
     """Three steps, D = 2, A = 1, ended by the horizon."""
     columns = {
-        "observations": np.arange(8, dtype=np.float32).reshape(4, 2),
-        "actions": np.zeros((3, 1), np.float32),
         "rewards": np.array([1, 2, 3.5], np.float32),
-        "terminations": np.zeros(3, bool),
-        "truncations": np.array([False, False, True]),
         "successes": np.array([False, True, False]),
-        "task": 0,
-        "goal": np.array([1.0]),
-        "quality": 2,
         "progress": 1.0,
-        "policy": bytes(32),
-        "seed_key": (0, 0, 2, 0, 5),
     }
-    return Episode(**(columns | changes))
+    return make_episode(3, quality=2, row=5, **(columns | changes))
 
 
 def test_quality_codes_are_those_of_the_format():

@@ -13,16 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from makers import FINAL, UNIFORM, make_episode, source_of, tta_source_of
 
 from mpdt.data.episode import Episode, PolicyInfo
 from mpdt.data.reference import Reference, References
 from mpdt.data.slices.stats import compute_stats
-from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
+from mpdt.data.store.sources import FileHeader
 from mpdt.data.store.tables import Additions, Slice, TaskRow
 from mpdt.data.store.writer import write_file
 
 D, A, HORIZON = 20, 6, 9
-UNIFORM, FINAL = bytes(range(32)), bytes([7] * 32)
 QUALITIES = {0: 2, 1: 2, 2: 4}  # code -> episodes per task
 
 
@@ -34,7 +34,7 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-def make_episode(task: int, quality: int, row: int, scale: float = 1.0) -> Episode:
+def drawn_episode(task: int, quality: int, row: int, scale: float = 1.0) -> Episode:
     generator = np.random.Generator(np.random.PCG64([task, quality, row]))
     length = 6 + (row + task) % 4
     observations = generator.standard_normal((length + 1, D)).astype(np.float32)
@@ -42,20 +42,13 @@ def make_episode(task: int, quality: int, row: int, scale: float = 1.0) -> Episo
     if quality == 2:
         actions = np.tanh(observations[:-1, :A] * (1 if task == 0 else -1))
     ends = np.arange(length) == length - 1
-    return Episode(
-        observations=observations,
-        actions=actions.astype(np.float32),
-        rewards=np.full(length, 1.0 + quality, np.float32),
-        terminations=ends,
-        truncations=np.zeros(length, bool),
-        successes=None,
-        task=task,
-        goal=np.array([1.0 if task == 0 else -1.0]),
-        quality=quality,
+    return make_episode(
+        length, task=task, quality=quality, row=row, observations=observations,
+        actions=actions.astype(np.float32), rewards=np.full(length, 1.0 + quality, np.float32),
+        terminations=ends, truncations=np.zeros(length, bool),
         progress=quality / 2 if quality < 3 else -1.0,
         policy=FINAL if quality == 2 else UNIFORM,
-        seed_key=(0, task, quality, 0, row),
-    )
+    )  # fmt: skip
 
 
 def references(zero: float, random: float, expert: float) -> References:
@@ -66,9 +59,9 @@ def references(zero: float, random: float, expert: float) -> References:
 
 
 def write(path: Path, qualities: dict[int, int] = QUALITIES, tta: bool = True) -> Path:
-    episodes = [make_episode(task, quality, row) for task in (0, 1)
+    episodes = [drawn_episode(task, quality, row) for task in (0, 1)
                 for quality, count in qualities.items() for row in range(count)]  # fmt: skip
-    unseen = [make_episode(task, 4, row, scale=3.0) for task in (0, 1) for row in range(2)]
+    unseen = [drawn_episode(task, 4, row, scale=3.0) for task in (0, 1) for row in range(2)]
     header = FileHeader(
         family="cheetah_dir", name="tiny", version="1.0.0", license="CC0-1.0",
         spec={"name": "tiny", "horizon": HORIZON, "env": {}},
@@ -82,10 +75,9 @@ def write(path: Path, qualities: dict[int, int] = QUALITIES, tta: bool = True) -
             for task in (0, 1) for policy, rung, name in ((UNIFORM, 0, "u"), (FINAL, 1, "f"))
         ),
     )  # fmt: skip
-    x = TtaSource(unseen, len(unseen), sum(e.length for e in unseen), {0: 20.0, 1: 30.0},
-                  {"action_scale": 3.0})  # fmt: skip
+    x = tta_source_of(unseen, {0: 20.0, 1: 30.0}, {"action_scale": 3.0})
     write_file(
-        path, header, EpisodeSource(episodes, len(episodes), sum(e.length for e in episodes)),
+        path, header, source_of(episodes),
         {"default": x} if tta else {},
         finish=lambda dataset: Additions(
             slices={"few": Slice(np.array([0, len(episodes) // 2]), {"made": "by hand"})},

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from makers import make_episode, make_header, source_of
 
 from mpdt.data.card.card import card_page
 from mpdt.data.card.facts import Facts
 from mpdt.data.card.film import HEIGHT, WIDTH, Film
-from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.episode import PolicyInfo
 from mpdt.data.store.reader import open_dataset
-from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
 from mpdt.data.verify.verify import CHECKS, verify
@@ -74,22 +74,20 @@ def test_the_page_needs_no_network_and_runs_nothing(tiny_file: Path) -> None:
 
 def hostile_file(folder: Path) -> Path:
     """Every text of the file is an attack; of a family that nobody knows."""
-    episode = Episode(
-        observations=np.zeros((3, 2), np.float32), actions=np.full((2, 1), 1e30, np.float32),
-        rewards=np.array([1e30, -3e38], np.float32), terminations=np.array([False, True]),
-        truncations=np.zeros(2, bool), successes=None, task=0, goal=np.array([1.0]), quality=-1,
+    episode = make_episode(
+        2, actions=np.full((2, 1), 1e30, np.float32), rewards=np.array([1e30, -3e38], np.float32),
+        terminations=np.array([False, True]), truncations=np.zeros(2, bool), quality=-1,
         progress=-1.0, policy=bytes(32), seed_key=(4294967295,) * 5,
     )  # fmt: skip
-    header = FileHeader(
-        family=EVIL, name=EVIL, version=EVIL, license=EVIL, spec={"name": EVIL, EVIL: [EVIL]},
-        observation_size=2, action_size=1, has_success=False,
-        tasks=(TaskRow(EVIL, 0, "test", {}),),
+    header = make_header(
+        [episode], [TaskRow(EVIL, 0, "test", {})], family=EVIL, name=EVIL, version=EVIL,
+        license=EVIL, spec={"name": EVIL, EVIL: [EVIL]},
         policies=(PolicyInfo(bytes(32), 0, 0, 0.0, -1, 1.0, EVIL),),
         lineage=({"verb": EVIL, "rule": {EVIL: EVIL + "\n" + EVIL}, "from": [EVIL]},),
         parent="0" * 64,
     )  # fmt: skip
     path = folder / "'><b>.h5"
-    return write_file(path, header, EpisodeSource((episode,), 1, 2)).path
+    return write_file(path, header, source_of([episode])).path
 
 
 def test_a_hostile_file_shows_its_names_and_nothing_else(tmp_path: Path) -> None:

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from makers import make_episode, make_header, source_of
 
 from mpdt.data.card import film
 from mpdt.data.card.film import HEIGHT, WIDTH, shoot, ways_to_draw
-from mpdt.data.episode import Episode, PolicyInfo
-from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
 from mpdt.errors import SimulatorError, UsageError
@@ -29,21 +28,16 @@ def still_file(folder: Path, family: str = "cheetah_dir", shift: float = 0.0) ->
     observations = [env.reset(seed=SeedKey(7, *KEY).env_seed())[0]]
     actions = np.zeros((STEPS, 6), np.float32)
     observations += [env.step(action)[0] for action in actions]
-    ends = np.arange(STEPS) == STEPS - 1
     stored = np.stack(observations).astype(np.float32)
     stored[1, 0] += shift
-    episode = Episode(
-        observations=stored, actions=actions, rewards=np.zeros(STEPS, np.float32),
-        terminations=np.zeros(STEPS, bool), truncations=ends, successes=None, task=0,
-        goal=np.array([1.0]), quality=2, progress=1.0, policy=bytes(32), seed_key=KEY,
+    episode = make_episode(
+        STEPS, observations=stored, actions=actions, quality=2, progress=1.0, seed_key=KEY
+    )
+    header = make_header(
+        [episode], [TaskRow("forward", 0, "both", {})], family=family,
+        spec={"name": "still", "seed": 7, "horizon": STEPS},
     )  # fmt: skip
-    header = FileHeader(
-        family=family, name="still", version="1.0.0", license="MIT",
-        spec={"name": "still", "seed": 7, "horizon": STEPS}, observation_size=20, action_size=6,
-        has_success=False, tasks=(TaskRow("forward", 0, "both", {}),),
-        policies=(PolicyInfo(bytes(32), 0, 0, 1.0, -1, 0.0, "still"),),
-    )  # fmt: skip
-    return write_file(folder / "still.h5", header, EpisodeSource((episode,), 1, STEPS)).path
+    return write_file(folder / "still.h5", header, source_of([episode])).path
 
 
 def test_the_ways_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:

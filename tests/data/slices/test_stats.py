@@ -3,49 +3,34 @@
 import h5py
 import numpy as np
 import pytest
+from makers import make_episode, make_header, source_of
 
-from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.episode import Episode
 from mpdt.data.slices.stats import compute_stats
 from mpdt.data.store.amend import add_slice
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import (
     Additions,
-    EpisodeSource,
-    FileHeader,
     Slice,
     write_file,
     write_stats,
 )
 from mpdt.errors import DataError, UsageError
 
-POLICY = bytes(32)
-
 
 def episode(task: int, row: int, observations, rewards) -> Episode:
     length = len(rewards)
-    return Episode(
-        observations=np.array(observations, np.float32),
-        actions=np.full((length, 1), 0.1, np.float32),
-        rewards=np.array(rewards, np.float32),
-        terminations=np.zeros(length, bool),
-        truncations=np.arange(length) == length - 1,
-        successes=None,
-        task=task,
-        goal=np.zeros(0),
-        quality=0,
-        progress=0.0,
-        policy=POLICY,
-        seed_key=(0, task, 0, 0, row),
-    )
+    return make_episode(
+        length, task=task, row=row, observations=np.array(observations, np.float32),
+        actions=np.full((length, 1), 0.1, np.float32), rewards=np.array(rewards, np.float32),
+    )  # fmt: skip
 
 
 def write(path, episodes, roles, finish=None):
     rows = [TaskRow(f"t{i}", i, role, {}) for i, role in enumerate(roles)]
-    policies = [PolicyInfo(POLICY, i, 0, 0.0, -1, 1.0, "uniform") for i in range(len(roles))]
-    header = FileHeader("made-up", "made-up", "1.0.0", "CC0-1.0", {}, 2, 1, False, rows, policies)
-    source = EpisodeSource(episodes, len(episodes), sum(e.length for e in episodes))
-    return write_file(path, header, source, finish=finish)
+    header = make_header(episodes, rows, family="made-up")
+    return write_file(path, header, source_of(episodes), finish=finish)
 
 
 @pytest.fixture

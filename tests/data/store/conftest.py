@@ -3,51 +3,19 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from makers import FINAL, UNIFORM, make_episode, source_of, tta_source_of
 
-from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.episode import PolicyInfo
 from mpdt.data.reference import Reference, References
 from mpdt.data.store.reader import Dataset, open_dataset
-from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
+from mpdt.data.store.sources import FileHeader, TtaSource
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
-
-UNIFORM, FINAL = bytes(range(32)), bytes([7] * 32)
-
-
-def make_episode(
-    length: int,
-    first: float = 0.0,
-    task: int = 0,
-    quality: int = 0,
-    block: int = 0,
-    row: int = 0,
-    success: bool | None = None,
-    policy: bytes = UNIFORM,
-    progress: float = 0.0,
-) -> Episode:
-    """Counting numbers from `first`: observations first, first+1, ...; rewards 1, 2, ..."""
-    ends = np.arange(length) == length - 1
-    return Episode(
-        observations=first + np.arange(2 * (length + 1), dtype=np.float32).reshape(-1, 2),
-        actions=-first - np.arange(length, dtype=np.float32).reshape(-1, 1),
-        rewards=np.arange(1, length + 1, dtype=np.float32),
-        terminations=np.zeros(length, bool),
-        truncations=ends,
-        successes=None if success is None else ends & success,
-        task=task,
-        goal=np.array([1.0 if task == 0 else -1.0]),
-        quality=quality,
-        progress=progress,
-        policy=policy,
-        seed_key=(0, task, quality, block, row),
-    )
-
 
 REFERENCES = References(
     {
@@ -87,20 +55,16 @@ EPISODES = (
 )
 
 
-def source(episodes: tuple[Episode, ...] = EPISODES) -> EpisodeSource:
-    return EpisodeSource(episodes, len(episodes), sum(e.length for e in episodes))
-
-
 def tta_source() -> TtaSource:
     one, two = make_episode(2, 500.0, quality=4), make_episode(1, 600.0, quality=4, row=1)
-    other = replace(make_episode(1, 700.0, task=1, quality=4), goal=np.array([0.5]))
-    return TtaSource((one, two, other), 3, 4, {0: 1500.0, 1: 0.25}, {"action_scale": 3.0})
+    other = make_episode(1, 700.0, task=1, quality=4, goal=np.array([0.5]))
+    return tta_source_of((one, two, other), {0: 1500.0, 1: 0.25}, {"action_scale": 3.0})
 
 
 @pytest.fixture(scope="session")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("store") / "hand-made.h5"
-    return write_file(path, HEADER, source(), {"default": tta_source()}).path
+    return write_file(path, HEADER, source_of(EPISODES), {"default": tta_source()}).path
 
 
 @pytest.fixture
@@ -111,8 +75,8 @@ def made(original: Path, tmp_path: Path) -> Dataset:
 
 @pytest.fixture
 def kit() -> SimpleNamespace:
-    """The hand-made parts (test modules cannot import each other in importlib mode)."""
+    """The hand-made parts."""
     return SimpleNamespace(
-        episode=make_episode, header=HEADER, episodes=EPISODES, source=source, tta=tta_source,
-        uniform=UNIFORM, final=FINAL,
+        episode=make_episode, header=HEADER, episodes=EPISODES, tta=tta_source,
+        source=lambda episodes=EPISODES: source_of(episodes), uniform=UNIFORM, final=FINAL,
     )  # fmt: skip

@@ -6,24 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from makers import make_episode
 
-from mpdt.data.episode import Episode
 from mpdt.data.store.digest import content_hash, content_header, episode_digest
 
-ONE_STEP = Episode(
-    observations=np.array([[0.5], [1.5]], np.float32),
-    actions=np.array([[-1.0]], np.float32),
-    rewards=np.array([2.0], np.float32),
-    terminations=np.array([False]),
-    truncations=np.array([True]),
-    successes=None,
-    task=1,
-    goal=np.array([-1.0]),
-    quality=2,
-    progress=0.75,
-    policy=bytes(range(32)),
-    seed_key=(0, 1, 2, 3, 4),
-)
+ONE_STEP = make_episode(
+    1, 0.5, (1, 1), task=1, quality=2, block=3, row=4, progress=0.75, policy=bytes(range(32)),
+    actions=np.array([[-1.0]], np.float32), rewards=np.array([2.0], np.float32),
+)  # fmt: skip
 PINNED = "6dd0f8481b4521722ca3b1ebc357b894d6f4ad463c1dcd491cc67f99943cec7e"
 
 

@@ -13,11 +13,12 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from damages import Apply, copy_episode, finding, flip, outcomes, pay, put, swap_tiers
 
 from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import CHECKS, verify
 from mpdt.errors import MissingFileError
+
+from .damages import Apply, copy_episode, finding, flip, outcomes, pay, put, swap_tiers
 
 
 def end_early(file: h5py.File) -> None:

@@ -14,7 +14,6 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from damages import Apply, both_flags, copy_episode, finding, flip, outcomes, pay, put, swap_tiers
 
 from mpdt.data.lock.file import lock_bytes, read_lock
 from mpdt.data.lock.keeper import LockKeeper
@@ -25,6 +24,8 @@ from mpdt.data.store.reader import open_dataset
 from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import CHECKS, verify
 from mpdt.errors import FormatError, UsageError
+
+from .damages import Apply, both_flags, copy_episode, finding, flip, outcomes, pay, put, swap_tiers
 
 
 def respec(file: h5py.File) -> None:
