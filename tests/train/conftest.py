@@ -7,7 +7,8 @@ something to learn.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,10 +59,16 @@ def references(zero: float, random: float, expert: float) -> References:
     return References(by_name, (0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
 
 
-def write(path: Path, qualities: dict[int, int] = QUALITIES, tta: bool = True) -> Path:
+def write(
+    path: Path,
+    qualities: dict[int, int] = QUALITIES,
+    tta: bool = True,
+    paid: Callable[[Episode], Episode] = lambda episode: episode,
+) -> Path:
+    """`paid`: gives X's episodes other rewards."""
     episodes = [drawn_episode(task, quality, row) for task in (0, 1)
                 for quality, count in qualities.items() for row in range(count)]  # fmt: skip
-    unseen = [drawn_episode(task, 4, row, scale=3.0) for task in (0, 1) for row in range(2)]
+    unseen = [paid(drawn_episode(task, 4, row, scale=3.0)) for task in (0, 1) for row in range(2)]
     header = FileHeader(
         family="cheetah_dir", name="tiny", version="1.0.0", license="CC0-1.0",
         spec={"name": "tiny", "horizon": HORIZON, "env": {}},
@@ -90,6 +97,16 @@ def write(path: Path, qualities: dict[int, int] = QUALITIES, tta: bool = True) -
 @pytest.fixture(scope="session")
 def tiny_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("data") / "tiny.h5")
+
+
+@pytest.fixture(scope="session")
+def other_rewards_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`tiny_file` but for what the simulator paid in X."""
+
+    def paid(episode: Episode) -> Episode:
+        return replace(episode, rewards=episode.actions[:, episode.task].copy())
+
+    return write(tmp_path_factory.mktemp("data") / "tiny.h5", paid=paid)
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from mpdt.train.cli import main
 from mpdt.train.fit.data import load_material
 from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.folder import claimed, locate
@@ -255,21 +254,21 @@ def test_adapting_refuses_other_training_and_what_is_no_run(again, tiny_file, tm
     assert "no trained weights in this run" in capsys.readouterr().err
 
 
-def test_the_published_protocol_has_no_path_to_rewards(again, monkeypatch):
-    """Reading them is an error here: every start but the inferring ones does without."""
-    from mpdt.train.adapt import align as adapt
-    from mpdt.train.adapt import candidates as unseen
-
-    def forbidden(*_):
-        raise AssertionError("rewards of X were read")
-
-    monkeypatch.setattr(unseen, "open_tta_rewards", forbidden)
-    monkeypatch.setattr(adapt, "open_tta_rewards", forbidden)
-    _, arguments = again
-    starts = ["cross", "cross_mean", "cross_one", "cross_random", "none"]
-    assert call(*arguments, "--adapt.starts", *starts, "-q") == 0
-    with pytest.raises(AssertionError, match="rewards of X were read"):
-        main([str(a) for a in (*arguments, "--adapt.starts", "infer", "-q")])
+def test_the_published_protocol_has_no_path_to_rewards(again, tiny_file, other_rewards_file):
+    """X of another reward gives the same scores to every row that does not say it reads them."""
+    folder, _ = again
+    starts = ["cross", "cross_mean", "cross_one", "cross_random", "infer", "infer_aligned"]
+    words = ["--adapt.starts", *starts, "--adapt.infer.steps", 5, "-q"]
+    found = []
+    for file in (tiny_file, other_rewards_file):
+        assert call("adapt", folder, "--data", file, *words) == 0
+        rows = [s for s in results_of(folder)["scores"] if "reads" in s]
+        found.append({(s["method"], s["task"]): (s["reads"], s["mean"]) for s in rows})
+    plain, other = found
+    blind = {row for row, (reads, _) in plain.items() if reads in ("X", "nothing")}
+    seeing = {row for row, (reads, _) in plain.items() if reads == "X+rewards"}
+    assert {row for row, score in plain.items() if other[row] == score} == blind
+    assert len(blind) == 5 * 3 and len(seeing) == 2 * 3, "rows of two tasks and their mean"
 
 
 def test_another_family_or_other_episodes_are_named(again, tiny_file, monkeypatch, capsys):
