@@ -3,7 +3,7 @@
     zero       all-zero actions                      random   uniform actions
     constant   the best task-blind constant action   expert   the last rung of the ladder
 
-random and expert are 0 and 1 of every normalised return; zero and constant are what a policy
+random and expert are level 0 and 1; zero and constant are what a policy
 reaches that has understood nothing.
 """
 
@@ -67,6 +67,14 @@ class Reference:
 
 
 UNKNOWN = Reference()
+
+
+def level(value: float, random: float, expert: float) -> float:
+    """Normalised return: 0 = uniform actions, 1 = the expert of the data.
+
+    nan where one of the three is unknown or the expert is not above random: there is no scale.
+    """
+    return (value - random) / (expert - random) if expert > random else math.nan
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ def test_other_settings_in_the_same_folder_are_refused(tiny_file, finished, caps
     arguments = ["--data", tiny_file, *QUICK, "--runs-dir", finished.parent, "--name", "whole"]
     assert call(*arguments, "--seed", 1) == 1
     error = capsys.readouterr().err
-    assert "another run lives in this folder; found seed: 0 -> 1" in error
+    assert "another run lives in this folder; found seed 0 -> 1" in error
     assert "--name whole-2" in error and "--restart" in error
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
-from mpdt.data.reference import References
+from mpdt.data.reference import References, level
 from mpdt.data.store import layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.tables import Float64, Int64
@@ -72,9 +72,8 @@ class TaskFacts:
         return sum(len(group.ids) for group in self.groups.values())
 
     def level(self, value: float) -> float:
-        """(value - random) / (expert - random) of the references; nan where one is unknown."""
-        low, high = (self.references[name].mean for name in ("random", "expert"))
-        return (value - low) / (high - low) if high > low else math.nan
+        """Of a return, between the references; nan where one is unknown."""
+        return level(value, self.references["random"].mean, self.references["expert"].mean)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,8 @@ from mpdt.data.collect.pack import pack
 from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.plan import Block, Plan
 from mpdt.data.collect.runner import BlockReport, Gap, report_part
-from mpdt.data.lock.claim import changed_keys
 from mpdt.data.lock.keeper import LockKeeper, plain_spec
+from mpdt.data.spec.change import changed_keys
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset

@@ -18,7 +18,7 @@ import numpy as np
 
 from mpdt.data.collect.plan import Plan
 from mpdt.data.collect.runner import BlockReport
-from mpdt.data.reference import Reference, References
+from mpdt.data.reference import Reference, References, level
 from mpdt.data.sim.constants import choose_constant, constant_actions
 from mpdt.errors import DataError
 
@@ -51,16 +51,14 @@ class TaskLevels:
 
     @property
     def medium_level(self) -> float:
-        """Normalised return of medium; NaN without all three."""
-        low, high = self.random.mean, self.expert.mean
-        return (self.medium.mean - low) / (high - low) if high != low else float("nan")
+        """Level of medium; NaN without all three."""
+        return level(self.medium.mean, self.random.mean, self.expert.mean)
 
     @property
     def outside(self) -> float:
         """How far the level of medium lies outside MEDIUM_RANGE; 0 inside, and without medium."""
-        low, high = MEDIUM_RANGE
-        level = self.medium_level
-        return 0.0 if np.isnan(level) else max(low - level, level - high, 0.0)
+        (low, high), found = MEDIUM_RANGE, self.medium_level
+        return 0.0 if np.isnan(found) else max(low - found, found - high, 0.0)
 
     def faults(self) -> list[str]:
         """What is wrong with the qualities of this task, one line each."""
@@ -150,15 +148,14 @@ def level_error(random: Reference, medium: Reference, expert: Reference) -> floa
 
     To first order, with S = expert - random and var() that of a mean:
     var(level) = (var(medium) + (1 - level)^2 var(random) + level^2 var(expert)) / S^2.
-    Infinite with fewer than two episodes of any of them.
+    Infinite with fewer than two episodes of any of them, or without a scale.
     """
-    spread = expert.mean - random.mean
+    found = level(medium.mean, random.mean, expert.mean)
     errors = np.array([medium.error, random.error, expert.error])
-    if not np.isfinite(errors).all() or not spread:
+    if not np.isfinite([found, *errors]).all():
         return float("inf")
-    level = (medium.mean - random.mean) / spread
-    weights = np.array([1.0, 1 - level, level])
-    return float(np.sqrt(((weights * errors) ** 2).sum()) / abs(spread))
+    weights = np.array([1.0, 1 - found, found])
+    return float(np.sqrt(((weights * errors) ** 2).sum()) / (expert.mean - random.mean))
 
 
 def check_levels(plan: Plan, levels: dict[str, TaskLevels], parts: str) -> list[str]:

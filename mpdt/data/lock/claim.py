@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from enum import Enum
 from typing import Any
@@ -71,19 +70,3 @@ def _core(version: str) -> tuple[int, int, int]:
 
 def _prerelease(version: str) -> bool:
     return "-" in version.partition("+")[0]
-
-
-def changed_keys(old: Any, new: Any, path: str = "") -> list[str]:
-    """`key old -> new` for every leaf that differs between two JSON objects."""
-    if isinstance(old, dict) and isinstance(new, dict):
-        return [
-            line
-            for key in sorted({*old, *new})
-            for line in changed_keys(
-                old.get(key), new.get(key), f"{path}.{key}" if path else str(key)
-            )
-        ]
-    if old == new:
-        return []
-    before, after = ("absent" if v is None else json.dumps(v) for v in (old, new))
-    return [f"{path} {before} -> {after}"]

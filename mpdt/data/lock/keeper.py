@@ -21,9 +21,10 @@ from typing import Any
 
 import msgspec
 
-from mpdt.data.lock.claim import Claim, changed_keys, claim_of, next_version
+from mpdt.data.lock.claim import Claim, claim_of, next_version
 from mpdt.data.lock.file import LockEntry, decisive_packages, lock_bytes, read_lock
 from mpdt.data.lock.fingerprint import fingerprint, is_as_locked, lost_runs, other_versions
+from mpdt.data.spec.change import changed_keys
 from mpdt.data.spec.entry import DatasetSpec, canonical_json, spec_hash
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset

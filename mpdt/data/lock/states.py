@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from mpdt.data.lock.claim import Claim, changed_keys
+from mpdt.data.lock.claim import Claim
 from mpdt.data.lock.file import LockEntry, read_lock
 from mpdt.data.lock.fingerprint import is_as_locked
 from mpdt.data.lock.keeper import spec_claim
 from mpdt.data.spec.catalog import Catalog
+from mpdt.data.spec.change import changed_keys
 from mpdt.data.spec.entry import DatasetSpec, smoke
 from mpdt.data.store.reader import open_dataset
 from mpdt.errors import MpdtError

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
-from mpdt.data.lock.claim import changed_keys
+from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.dataset import Dataset
 from mpdt.seeding import UNKNOWN_SEED_KEY
 

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from mpdt.data.episode import Episode, PolicyInfo
-from mpdt.data.lock.claim import changed_keys
 from mpdt.data.slices.cut import refuse_to_replace
 from mpdt.data.slices.merge_tta import merged_tta
 from mpdt.data.slices.standard import standard_slices
 from mpdt.data.slices.stats import compute_stats
+from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.inherit import header_of, lineage_step, task_rows
 from mpdt.data.store.sources import EpisodeSource, FileHeader

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
-from mpdt.data.reference import YARDSTICKS, Reference
+from mpdt.data.reference import YARDSTICKS, Reference, level
 from mpdt.data.store import layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.tables import Int64
@@ -83,12 +83,11 @@ def level_table(
             continue
         returns: Mapping[str, float] = task["returns"]
         found = [returns.get(quality, float("nan")) for quality in QUALITY_CODES]
-        low, high = (_mean(task, name) for name in ("random", "expert"))
-        level = (found[1] - low) / (high - low) if high > low else float("nan")
+        medium = level(found[1], _mean(task, "random"), _mean(task, "expert"))
         success = "-" if task["success"] is None else f"{task['success']:.2f}"
         rows.append(
             [task["name"], task["role"], f"{task['episodes']:,}", number(_mean(task, "zero")),
-             *map(number, found), number(level, 2), success]
+             *map(number, found), number(medium, 2), success]
         )  # fmt: skip
     return text_table([heading, *rows], numbers_from=2)
 

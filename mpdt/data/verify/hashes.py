@@ -6,9 +6,9 @@ import hashlib
 
 import numpy as np
 
-from mpdt.data.lock.claim import changed_keys
 from mpdt.data.lock.file import LockEntry
 from mpdt.data.lock.fingerprint import is_as_locked, lost_runs
+from mpdt.data.spec.change import changed_keys
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.digests import Labels, array_digests

@@ -39,9 +39,8 @@ def check_quality(material: Material) -> Finding:
             continue
         ends = {name: known[name] if known[name].is_known else own[name] for name in ORDER}
         levels = TaskLevels(task, References(ends), own["medium"])
-        if np.isnan(levels.medium_level):
-            continue
-        shown.append(levels.medium_level)
+        if not np.isnan(levels.medium_level):
+            shown.append(levels.medium_level)
         ids = data.select(task=row, quality="medium")
         faults += [fault(text, ids, doubt=soft) for text in levels.faults()]
         faults += [Fault(text, is_doubt=True) for text in levels.doubts()]

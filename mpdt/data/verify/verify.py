@@ -26,7 +26,7 @@ from mpdt.data.verify.hashes import HashCheck
 from mpdt.data.verify.leak import check_leak
 from mpdt.data.verify.material import Material, read_material
 from mpdt.data.verify.quality import check_quality
-from mpdt.data.verify.replaying import Amount, check_replay
+from mpdt.data.verify.replay import Amount, check_replay
 from mpdt.data.verify.returns import ReturnsCheck
 from mpdt.data.verify.shapes import check_shapes
 from mpdt.data.verify.streaming import StepCheck

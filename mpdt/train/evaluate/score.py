@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mpdt.data.reference import Reference
+from mpdt.data.reference import Reference, level
 from mpdt.errors import StorageError
 from mpdt.train.evaluate.aggregate import bootstrap
 
@@ -46,7 +46,7 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     high: float
     """95 % interval over seeds, or of a reference by its error; nan where only a mean is known."""
     normalised: float
-    """(return - random) / (expert - random)."""
+    """Its level."""
     success: float | None = None
     """Share of episodes with a successful step; None where the simulator has none."""
     num_episodes: int = 0
@@ -54,11 +54,6 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Its interval lies above those of zero action and random; None = not compared."""
     reads: Reads | None = None
     """What was read of this task to make the policy; None for references and training tasks."""
-
-
-def normalised(mean: float, random: float, expert: float) -> float:
-    """0 = uniform actions, 1 = the expert of the data; nan if the two do not differ."""
-    return (mean - random) / (expert - random) if expert != random else float("nan")
 
 
 def scores_of(
@@ -82,9 +77,9 @@ def scores_of(
         mean = float(returns[i].mean())
         low, high = bootstrap(returns[i : i + 1])
         share = None if successes is None else float(successes[i].mean())
-        level = normalised(mean, float(random[i]), float(expert[i]))
+        reached = level(mean, float(random[i]), float(expert[i]))
         scores.append(Score(block=block, task=task, method=method, mean=mean, low=low, high=high,
-                            normalised=level, success=share, reads=reads,
+                            normalised=reached, success=share, reads=reads,
                             num_episodes=returns.shape[1]))  # fmt: skip
     low, high = bootstrap(returns)
     levels = [score.normalised for score in scores]
@@ -119,7 +114,7 @@ def expert_scores(
         mean = float(means[rows].mean())
         margin = 1.96 * float(np.sqrt((errors[rows] ** 2).sum())) / len(rows)
         shares = [success for i in rows if (success := experts[i].success) is not None]
-        levels = [normalised(float(means[i]), float(random[i]), float(means[i])) for i in rows]
+        levels = [level(float(means[i]), float(random[i]), float(means[i])) for i in rows]
         scores.append(Score(block=block, task=task, method=EXPERT, mean=mean, low=mean - margin,
                             high=mean + margin, normalised=float(np.mean(levels)),
                             success=float(np.mean(shares)) if len(shares) == len(rows) else None,

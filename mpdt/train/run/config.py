@@ -6,7 +6,6 @@ that were chosen for a purpose live in presets.py.
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import msgspec
@@ -90,15 +89,3 @@ def from_plain(plain: dict[str, Any]) -> TrainConfig:
         return msgspec.convert(plain, TrainConfig)
     except msgspec.ValidationError as error:
         raise SpecError("not a training configuration", found=str(error)) from error
-
-
-def differences(old: dict[str, Any], new: dict[str, Any], prefix: str = "") -> list[str]:
-    """`key: old -> new` for every leaf that differs."""
-    found = []
-    for key in sorted(set(old) | set(new)):
-        a, b = old.get(key), new.get(key)
-        if isinstance(a, dict) and isinstance(b, dict):
-            found += differences(a, b, f"{prefix}{key}.")
-        elif a != b:
-            found.append(f"{prefix}{key}: {json.dumps(a)} -> {json.dumps(b)}")
-    return found

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.lock import take_lock
 from mpdt.disk import disk
 from mpdt.errors import (
@@ -35,7 +36,7 @@ from mpdt.errors import (
 )
 from mpdt.train.evaluate.score import write_atomic
 from mpdt.train.fit.log import MetricsLog
-from mpdt.train.run.config import TrainConfig, differences, from_plain
+from mpdt.train.run.config import TrainConfig, from_plain
 from mpdt.train.run.identity import Identity
 
 FORMAT = "mpdt-run/3"
@@ -159,7 +160,7 @@ def _compare(folder: RunFolder, identity: Identity) -> None:
                 hint="take the file it was trained on, or keep both with "
                 f"--name {folder.path.name}-2",
             )  # fmt: skip
-    changed = differences(stored["training"], identity.training)
+    changed = changed_keys(stored["training"], identity.training)
     if changed:
         text = "; ".join(changed[:4]) + (f" and {len(changed) - 4} more" if changed[4:] else "")
         raise TrainingError(

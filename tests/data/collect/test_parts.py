@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from makers import make_episode
 
-from mpdt.data.collect.part import Part
-from mpdt.data.collect.parts import PartsFolder
+from mpdt.data.collect.parts import Part, PartsFolder
 from mpdt.data.collect.plan import Block
 from mpdt.data.collect.runner import BlockReport, Gap, report_part
 from mpdt.data.episode import Episode

@@ -1,6 +1,6 @@
 import pytest
 
-from mpdt.data.lock.claim import Claim, changed_keys, claim_of, next_version
+from mpdt.data.lock.claim import Claim, claim_of, next_version
 
 SPEC = {"tasks": ["a"], "seed": 1, "license": "MIT", "episodes": {"random": 4, "expert": 0},
         "tta": {"default": {"episodes": 2}}, "goals": None}  # fmt: skip
@@ -46,14 +46,3 @@ def test_claims(old, new, claim):
 def test_the_version_a_change_calls_for(change, version):
     assert next_version("1.0.0", SPEC, SPEC | change) == version
     assert next_version("1.0.0+smoke", SPEC, SPEC | change) == f"{version}+smoke"
-
-
-def test_changed_keys_by_hand():
-    old = {"a": 1, "b": {"c": [1, 2], "d": "x"}, "e": None}
-    new = {"a": 1, "b": {"c": [1, 3], "d": "x"}, "f": True}
-    assert changed_keys(old, new) == ["b.c [1, 2] -> [1, 3]", "f absent -> true"]
-    assert changed_keys(old, old) == []
-
-
-def test_a_field_that_a_later_release_adds_without_a_value_changes_nothing():
-    assert changed_keys({"a": 1}, {"a": 1, "goals": None}) == []

@@ -15,18 +15,11 @@ from mpdt.train.evaluate.score import (
     Score,
     encode_results,
     expert_scores,
-    normalised,
     scores_of,
     with_verdicts,
     write_atomic,
 )
 from mpdt.train.run.show import scores_in
-
-
-def test_normalised_by_hand():
-    assert normalised(30.0, 10.0, 50.0) == 0.5
-    assert normalised(0.0, 10.0, 50.0) == -0.25
-    assert np.isnan(normalised(1.0, 5.0, 5.0))
 
 
 def test_scores_by_hand():

@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from mpdt.errors import SpecError, UsageError
-from mpdt.train.run.config import TrainConfig, differences, from_plain, to_plain
+from mpdt.train.run.config import TrainConfig, from_plain, to_plain
 from mpdt.train.run.methods import merge
 from mpdt.train.run.presets import PRESETS, get_preset, paper
 
@@ -28,12 +28,6 @@ def test_paper_holds_the_published_numbers():
 def test_unknown_preset_names_the_nearest():
     with pytest.raises(UsageError, match=r"unknown preset 'bass' \(did you mean 'base'\?\)"):
         get_preset("bass")
-
-
-def test_differences_by_hand():
-    old = {"seed": 0, "prompts": {"length": 30, "rank": 1}}
-    new = {"seed": 0, "prompts": {"length": 9, "rank": 1}, "x": True}
-    assert differences(old, new) == ["prompts.length: 30 -> 9", "x: null -> true"]
 
 
 def test_refusals():

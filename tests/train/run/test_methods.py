@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import torch
 
+from mpdt.data.spec.change import changed_keys
 from mpdt.errors import UsageError
 from mpdt.model.backbone import from_settings
 from mpdt.model.policy import PolicyBatch
 from mpdt.model.weights import load_weights
 from mpdt.train.adapt import candidates as unseen
 from mpdt.train.fit.data import load_material, sample_demonstrations
-from mpdt.train.run.config import TrainConfig, differences, to_plain
+from mpdt.train.run.config import TrainConfig, to_plain
 from mpdt.train.run.folder import locate
 from mpdt.train.run.methods import METHODS, apply_method, merge
 from mpdt.train.run.pipeline import run_pipeline
@@ -75,8 +76,8 @@ def test_every_method_trains_and_is_judged(method, tiny_file, tmp_path):
 
 def test_a_method_changes_what_it_says_and_nothing_else():
     plain = to_plain(base())
-    assert differences(plain, to_plain(apply_method(base(), "MPDT+sparse"))) == [
-        'method: "MPDT-E" -> "MPDT+sparse"', "multitask.sparse: 0.0 -> 0.2",
+    assert changed_keys(plain, to_plain(apply_method(base(), "MPDT+sparse"))) == [
+        'method "MPDT-E" -> "MPDT+sparse"', "multitask.sparse 0.0 -> 0.2",
     ]  # fmt: skip
     with pytest.raises(UsageError, match=r"unknown method 'Promt-DT' \(did you mean 'Prompt-DT'"):
         apply_method(base(), "Promt-DT")

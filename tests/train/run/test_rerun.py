@@ -150,7 +150,7 @@ def test_a_changed_depth_is_refused_as_another_run(again, capsys):
     before = names_in(folder)
     assert call(*arguments, "--backbone.depth", 1, "--adapt.steps", 3) == 1
     error = capsys.readouterr().err
-    assert "found backbone.depth: null -> 1\n" in error and "--name r-2" in error
+    assert "found backbone.depth null -> 1\n" in error and "--name r-2" in error
     assert names_in(folder) == before
 
 
@@ -246,7 +246,7 @@ def test_a_stored_run_is_adapted_and_evaluated_without_training(again, tiny_file
 def test_adapting_refuses_other_training_and_what_is_no_run(again, tiny_file, tmp_path, capsys):
     folder, _ = again
     assert call("adapt", folder, "--data", tiny_file, "--prompts.length", 5) == 1
-    assert "found prompts.length: 4 -> 5" in capsys.readouterr().err
+    assert "found prompts.length 4 -> 5" in capsys.readouterr().err
     assert call("adapt", tmp_path, "--data", tiny_file) == 2
     assert "no run here" in capsys.readouterr().err
     (folder / "weights.safetensors").unlink()
