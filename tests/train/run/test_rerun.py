@@ -135,7 +135,7 @@ def test_other_data_judge_anew_or_are_refused(again, finished, monkeypatch, caps
     assert "trained already" in capsys.readouterr().err
     load_with(other_statistics)
     assert call(*arguments) == 1
-    assert "found data.statistics: " in capsys.readouterr().err
+    assert "found data.statistics " in capsys.readouterr().err
 
 
 def test_a_damaged_table_is_judged_again(again, finished):
