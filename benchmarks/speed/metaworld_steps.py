@@ -37,13 +37,14 @@ class Published:
 
     def play(self, goal: Any, policy: Any, keys: Any, env: Any = None) -> tuple[Any, Any, Any]:
         """Observations, rewards and successes of one episode."""
+        from mpdt.data.sim.actors import Rows
         from mpdt.data.sim.metaworld import quiet
 
         env = env or self.env
         self.env._last_rand_vec = goal
         with quiet():
             observation, _ = env.reset()
-            policy.begin(keys, [goal], HORIZON)
+            policy.begin(Rows(keys, [goal], HORIZON))
             # Copies: some scripts write into the observation they are shown.
             seen, rewards, wins = [observation.copy()], [], []
             for step in range(HORIZON):
@@ -59,7 +60,7 @@ def ways(number: int, size: int, names: list[str] | None = None) -> dict[str, Ca
     """Ours and the published env for every `size`-th task; each returns seconds per task."""
     from mpdt.data.sim.metaworld import MetaworldBatch
     from mpdt.data.sim.play import run_block
-    from mpdt.data.sim.policies import ScriptedPolicy
+    from mpdt.data.sim.scripted import ScriptedPolicy
     from mpdt.data.spec.tasks import get_family
     from mpdt.seeding import Quality, SeedKey
 
@@ -100,7 +101,7 @@ def collector(name: str) -> Callable[[], float]:
     import minari
 
     from mpdt.data.sim.metaworld import MetaworldEnv
-    from mpdt.data.sim.policies import ScriptedPolicy
+    from mpdt.data.sim.scripted import ScriptedPolicy
     from mpdt.data.spec.tasks import get_family
     from mpdt.seeding import Quality, SeedKey
 

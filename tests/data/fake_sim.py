@@ -25,8 +25,8 @@ import numpy as np
 
 from mpdt.data.collect import job, pack, runner
 from mpdt.data.episode import PolicyInfo
+from mpdt.data.sim.actors import Rows, UniformPolicy
 from mpdt.data.sim.batch import StepResult
-from mpdt.data.sim.policies import UniformPolicy
 from mpdt.data.spec.tasks import Family, Task
 from mpdt.seeding import SeedKey
 
@@ -78,10 +78,10 @@ class ConstantPolicy:
         self.info = PolicyInfo(digest, task.index, rung, level, 100 * rung, 0.0, f"fake-{rung}")
         self.level = level
 
-    def begin(self, keys: Sequence[SeedKey], goals: Sequence[Any], horizon: int) -> None:
-        self.goals = np.array([goal[0] for goal in goals])
+    def begin(self, rows: Rows) -> None:
+        self.goals = np.array([goal[0] for goal in rows.goals])
 
-    def act(self, step: int, observations: Any) -> Any:
+    def act(self, step: int, observations: Any, rewards: Any = None) -> Any:
         return np.repeat(self.level * self.goals[:, None], 6, axis=1)
 
 

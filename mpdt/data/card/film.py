@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
@@ -27,6 +27,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mpdt.data.episode import Episode
+from mpdt.data.sim.batch import HasScene
+from mpdt.data.sim.simulators import make_batch
+from mpdt.data.sim.stored import watch_stored
 from mpdt.data.spec.tasks import Family, get_family
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
@@ -115,60 +118,39 @@ def _film(data: Dataset, episode_id: int, num_frames: int | None) -> Film:
     places = np.linspace(0, length, num_frames or length + 1).round().astype(int)
     wanted = sorted(set(places.tolist()))
     frames, is_equal = [], True
-    stage = _stage(data, family, episode)
+    env = make_batch(family, [family.tasks[episode.task]], dict(data.spec.get("env") or {}))
+    assert isinstance(env, HasScene)
+    model, _ = env.scene(0)
+    if family.simulator != "metaworld":
+        floor = model.geom("floor")  # only its picture has an end, which experts run past
+        floor.size[:2] *= FLOORS
+        model.mat_texrepeat[floor.matid] *= FLOORS
     camera = mujoco.MjvCamera()
-    with closing(mujoco.Renderer(stage.model, HEIGHT, WIDTH)) as renderer:
-        for step, observation in enumerate(_play(stage, episode)):
-            shown = observation.astype(np.float32)
+    with closing(mujoco.Renderer(model, HEIGHT, WIDTH)) as renderer:
+        for step, seen in enumerate(watch_stored(env, episode, _key(data, family, episode))):
+            shown = seen.astype(np.float32)
             shown[list(family.hidden_columns)] = 0.0
             is_equal &= shown.tobytes() == episode.observations[step].tobytes()
             if step in wanted:
-                renderer.update_scene(stage.data, camera=_aimed(camera, family, stage))
+                _, scene = env.scene(0)
+                renderer.update_scene(scene, camera=_aimed(camera, family, scene))
                 frames.append(renderer.render().copy())
     return Film(episode_id, np.stack(frames), tuple(wanted), is_equal)
 
 
-@dataclass(frozen=True)
-class _Stage:
-    """One simulator with what a camera needs."""
-
-    model: Any
-    data: Any
-    first: npt.NDArray[np.float64]
-    step: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float64]]
-
-
-def _play(stage: _Stage, episode: Episode) -> Iterator[npt.NDArray[np.float64]]:
-    yield stage.first
-    for action in episode.actions:
-        yield stage.step(np.asarray(action))
-
-
-def _stage(data: Dataset, family: Family, episode: Episode) -> _Stage:
-    where = str(data.path)
-    task = family.tasks[episode.task]
-    if family.simulator == "metaworld":
-        from mpdt.data.sim.metaworld import MetaworldEnv
-
-        arm = MetaworldEnv(task.name)
-        first = arm.reset(episode.goal)
-        return _Stage(*arm.scene, first, lambda action: arm.step(action)[0])
-    from mpdt.data.sim.locomotion_env import LocomotionEnv
-
+def _key(data: Dataset, family: Family, episode: Episode) -> SeedKey:
+    """What the episode's reset noise was drawn from. Raises: DataError where nobody knows."""
     seed = data.spec.get("seed")
-    if not isinstance(seed, int) or episode.seed_key == UNKNOWN_SEED_KEY:
-        raise DataError("an episode without a seed cannot be simulated again", where=where)
-    env = LocomotionEnv(family.name, task.name, **(data.spec.get("env") or {}))
-    floor = env.model.geom("floor")  # only its picture has an end, which experts run past
-    floor.size[:2] *= FLOORS
-    env.model.mat_texrepeat[floor.matid] *= FLOORS
-    first, _ = env.reset(seed=SeedKey(seed, *episode.seed_key).env_seed())
-    return _Stage(env.model, env.data, first, lambda action: env.step(action)[0])
+    if isinstance(seed, int) and episode.seed_key != UNKNOWN_SEED_KEY:
+        return SeedKey(seed, *episode.seed_key)
+    if family.simulator == "metaworld":  # the goal alone decides how it begins
+        return SeedKey(0, *UNKNOWN_SEED_KEY)
+    raise DataError("an episode without a seed cannot be simulated again", where=str(data.path))
 
 
-def _aimed(camera: Any, family: Family, stage: _Stage) -> Any:
+def _aimed(camera: Any, family: Family, scene: Any) -> Any:
     """The camera on the table, or beside the torso (MuJoCo's own tracking lags behind)."""
     camera.azimuth, camera.elevation, camera.distance = CAMERAS[family.robot]
-    at = stage.data.body("torso").xpos[:2] if family.robot != "sawyer" else None
+    at = scene.body("torso").xpos[:2] if family.robot != "sawyer" else None
     camera.lookat[:] = TABLE if at is None else (*at, 0.5)
     return camera

@@ -1,4 +1,7 @@
-"""BatchEnv: what every simulator looks like to the code that collects and evaluates.
+"""BatchEnv: what every simulator looks like, and `roll_out`, the one loop that steps it.
+
+Used by play.py (collecting), rungs.py (judging snapshots), stored.py (replay and film) and
+`mpdt/train/evaluate` (judging what was trained).
 
     env   = make_batch(family, tasks, options)     one task per row, rows may differ
     goals = env.draw_goals(keys)                   what the episode is about
@@ -11,9 +14,9 @@ Nothing resets by itself: a finished row goes on being simulated until the calle
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -84,12 +87,13 @@ class Play:
     """Whole episodes of ready-made actions; row b is valid up to its first termination.
 
     Shapes: observations (B, H + 1, D) float64 with the first one of the reset, rewards (B, H)
-    float64, terminations (B, H) bool.
+    float64, terminations (B, H) bool, successes (B, H) bool or None where the simulator has none.
     """
 
     observations: FloatArray
     rewards: FloatArray
     terminations: BoolArray
+    successes: BoolArray | None = None
 
 
 @runtime_checkable
@@ -99,3 +103,51 @@ class PlaysAhead(Protocol):
     def play(self, actions: npt.NDArray[np.float32]) -> Play:
         """Run actions (B, H, A) from the last reset. The same bytes as H calls of `step`."""
         ...
+
+
+@runtime_checkable
+class HasScene(Protocol):
+    """A BatchEnv that a camera can look at."""
+
+    def scene(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's (MjModel, MjData) of a row as it stands now; look, do not touch the data."""
+        ...
+
+
+Choose = Callable[[int, FloatArray, FloatArray | None, BoolArray], npt.NDArray[np.float32]]
+"""(step, observations (B, D), rewards of the step before or None, running (B,)) -> (B, A)."""
+
+
+@dataclass(frozen=True)
+class Rolled:
+    """One step of `roll_out`.
+
+    Args:
+        running: (B,) rows that had not ended before this step.
+    """
+
+    step: int
+    actions: npt.NDArray[np.float32]
+    result: StepResult
+    running: BoolArray
+
+
+def roll_out(env: BatchEnv, first: FloatArray, choose: Choose, horizon: int) -> Iterator[Rolled]:
+    """Step all rows until each has ended, `horizon` steps at most.
+
+    Rows that have ended are stepped along with the others, so that the batch keeps its width.
+
+    Args:
+        first: observations (B, D) that the reset gave.
+        choose: who acts; what it answers is given to the simulator as it is.
+    """
+    observations, rewards = first, None
+    running = np.ones(len(first), np.bool_)
+    for step in range(horizon):
+        actions = choose(step, observations, rewards, running)
+        result = env.step(actions)
+        yield Rolled(step, actions, result, running)
+        observations, rewards = result.observations, result.rewards
+        running = running & ~result.terminations
+        if not running.any():
+            return

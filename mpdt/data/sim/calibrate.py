@@ -30,8 +30,8 @@ from mpdt.data.sim.calibration import (
     read_calibrations,
     save_calibrations,
 )
-from mpdt.data.sim.policies import ScriptedPolicy
 from mpdt.data.sim.probe import Gauge, Probe
+from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.workers.processes import map_blocks
 from mpdt.errors import DataError, SpecError

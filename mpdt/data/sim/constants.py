@@ -9,15 +9,8 @@ One action for all tasks: what a policy reaches that knows the family and nothin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
-
-from mpdt.data.episode import PolicyInfo
-from mpdt.data.sim.policies import definition_hash
-from mpdt.seeding import SeedKey
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -44,30 +37,3 @@ def choose_constant(returns: FloatArray, random: FloatArray, expert: FloatArray)
     if not np.isfinite(levels).all():
         return None
     return int(levels.mean(axis=0).argmax())
-
-
-class ConstantPolicy:
-    """The same action in every row at every step."""
-
-    def __init__(self, action: npt.NDArray[np.float32], *, task: int = -1) -> None:
-        self._action = action.astype(np.float64)
-        self._shape = (0, 0, len(action))
-        definition: dict[str, object] = {"kind": "constant", "action": self._action.tolist()}
-        self.info = PolicyInfo(
-            hash=definition_hash(definition),
-            task=task,
-            rung=-1,  # on no ladder
-            level=-1.0,
-            train_step=-1,
-            mix_rate=0.0,
-            name="constant",
-        )
-
-    def begin(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray], horizon: int) -> None:
-        self._shape = (len(keys), horizon, len(self._action))
-
-    def act(self, step: int, observations: npt.NDArray[np.floating[Any]]) -> FloatArray:
-        return np.tile(self._action, (len(observations), 1))
-
-    def all_actions(self) -> FloatArray:
-        return np.broadcast_to(self._action, self._shape)

@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import Protocol
 
 from mpdt.data.episode import QUALITY_CODES, PolicyInfo
+from mpdt.data.sim.actors import Policy, UniformPolicy
 from mpdt.data.sim.calibration import (
     Calibration,
     load_calibrations,
     load_local,
     local_path,
 )
-from mpdt.data.sim.policies import Policy, ScriptedPolicy, UniformPolicy
+from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Task, get_family
 from mpdt.errors import SpecError, unknown_name

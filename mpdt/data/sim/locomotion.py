@@ -157,6 +157,13 @@ class LocomotionBatch:
                 break
         return played
 
+    def scene(self, row: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Model and a fresh MjData in the state of a row, for a camera."""
+        data = mujoco.MjData(self._model)
+        data.qpos[:], data.qvel[:] = self._state[row, self._qpos], self._state[row, self._qvel]
+        mujoco.mj_forward(self._model, data)
+        return self._model, data
+
     def observations(self) -> Floats:
         """Current observations (B, D), of rows just reset as well as of rows just stepped."""
         state = self._state

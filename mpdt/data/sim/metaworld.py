@@ -211,6 +211,10 @@ class MetaworldBatch:
             self._envs[row] = MetaworldEnv(self.task_names[row])
         return self._envs[row]
 
+    def scene(self, row: int) -> tuple[Any, Any]:
+        """MuJoCo's own (MjModel, MjData) of a row."""
+        return self._env(row).scene
+
     def draw_goals(self, keys: Sequence[SeedKey]) -> list[FloatArray]:
         """One accepted reset vector (3,) or (6,) per row, from stream GOAL of its key.
 

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
 from mpdt.data.episode import QUALITY_CODES, PolicyInfo
-from mpdt.data.sim.policies import Policy, UniformPolicy
+from mpdt.data.sim.actors import Observations, Policy, Rewards, Rows, UniformPolicy
 from mpdt.data.sim.robots import network_inputs
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.errors import SpecError, unknown_name
-from mpdt.seeding import HISTORY_STRIDE, SeedKey, Stream
+from mpdt.seeding import HISTORY_STRIDE, Stream
 
 Weights = Mapping[str, NDArray[np.float32]]
 
@@ -66,15 +66,17 @@ class NetworkPolicy:
         self._goals = np.zeros(0)
         self._noise = np.zeros((0, 0, 0), dtype=np.float32)
 
-    def begin(
-        self, keys: Sequence[SeedKey], goals: Sequence[NDArray[np.float64]], horizon: int
-    ) -> None:
-        shape = (horizon, self._family.action_size)
-        draws = [key.generator(Stream.POLICY).standard_normal(shape, np.float32) for key in keys]
+    def begin(self, rows: Rows) -> None:
+        shape = (rows.horizon, self._family.action_size)
+        draws = [
+            key.generator(Stream.POLICY).standard_normal(shape, np.float32) for key in rows.keys
+        ]
         self._noise = np.float32(self._noise_std) * np.stack(draws)
-        self._goals = np.array([goal[0] for goal in goals])
+        self._goals = np.array([goal[0] for goal in rows.goals])
 
-    def act(self, step: int, observations: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def act(
+        self, step: int, observations: Observations, rewards: Rewards | None = None
+    ) -> NDArray[np.float64]:
         family = self._family
         full = observations.astype(np.float64)
         inputs = network_inputs(family.robot, family.reward, full, self._goals)

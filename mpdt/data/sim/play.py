@@ -18,11 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from mpdt.data.episode import Episode
-from mpdt.data.sim.batch import BatchEnv, Play, PlaysAhead, StepResult
-from mpdt.data.sim.policies import OpenLoopPolicy, Policy
+from mpdt.data.sim.actors import OpenLoopPolicy, Policy, Rows
+from mpdt.data.sim.batch import BatchEnv, Play, PlaysAhead, StepResult, roll_out
 from mpdt.errors import DataError
 from mpdt.seeding import SeedKey
 
+FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 
@@ -81,11 +82,8 @@ def run_block(
     padding = max(0, (width or 0) - len(keys))
     goals = env.draw_goals(goal_keys or keys)
     observations = env.reset(keys, goals)
-    policy.begin(
-        [*keys, *(keys[-1].at_row(keys[-1].row + 1 + extra) for extra in range(padding))],
-        [*goals, *goals[-1:] * padding],
-        horizon,
-    )
+    extra = [keys[-1].at_row(keys[-1].row + 1 + row) for row in range(padding)]
+    policy.begin(Rows([*keys, *extra], [*goals, *goals[-1:] * padding], horizon))
     record = _empty_record(env, horizon)
     low, high = env.low.astype(np.float32), env.high.astype(np.float32)
 
@@ -98,18 +96,16 @@ def run_block(
         _store_play(record, actions, env.play(actions), hidden_columns)
     else:
         _store_observations(record, 0, observations, hidden_columns)
-        running = np.ones(len(keys), dtype=np.bool_)
-        for step in range(horizon):
-            seen = np.concatenate([observations, np.repeat(observations[:1], padding, axis=0)])
-            now = stored(policy.act(step, seen))
-            result = env.step(now)
-            _store_step(record, step, now, result, hidden_columns)
-            record.lengths[running] = step + 1
-            observations = result.observations
-            # Finished rows stay in the batch, so the policy's width never changes.
-            running &= ~result.terminations
-            if not running.any():
-                break
+
+        def choose(
+            step: int, seen: FloatArray, rewards: FloatArray | None, running: BoolArray
+        ) -> Float32Array:
+            shown = np.concatenate([seen, np.repeat(seen[:1], padding, axis=0)])
+            return stored(policy.act(step, shown))
+
+        for rolled in roll_out(env, observations, choose, horizon):
+            _store_step(record, rolled.step, rolled.actions, rolled.result, hidden_columns)
+            record.lengths[rolled.running] = rolled.step + 1
     return [
         _episode(record, row, key, goals[row], policy, horizon, quality, progress)
         for row, key in enumerate(keys)

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from mpdt.data.episode import Episode
+from mpdt.data.sim.actors import ConstantPolicy, Policy, UniformPolicy, ZeroPolicy
 from mpdt.data.sim.batch import BatchEnv
-from mpdt.data.sim.constants import ConstantPolicy, constant_actions
+from mpdt.data.sim.constants import constant_actions
 from mpdt.data.sim.ladder import Ladder, load_ladder
 from mpdt.data.sim.play import run_block
-from mpdt.data.sim.policies import Policy, UniformPolicy, ZeroPolicy
 from mpdt.data.sim.references import Score, constant_names
 from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from mpdt.data.sim.batch import BatchEnv, FloatArray
 from mpdt.data.sim.calibration import Measurement
 from mpdt.data.sim.play import run_block
-from mpdt.data.sim.policies import ScriptedPolicy
+from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.tasks import get_family
 from mpdt.seeding import Quality, SeedKey

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import load_file
 
+from mpdt.data.sim.batch import BoolArray, FloatArray, roll_out
 from mpdt.data.sim.locomotion import LocomotionBatch
 from mpdt.data.sim.network import Weights, network_actions
 from mpdt.data.sim.robots import network_inputs
@@ -107,19 +108,21 @@ def judge(
     flat = np.array([goal[0] for goal in goals])
     observations = env.reset(keys, goals)
     generator = keys[0].generator(Stream.POLICY)
-    total, alive = np.zeros(len(tasks)), np.ones(len(tasks), dtype=bool)
-    for _ in range(family.horizon):
-        shape = (len(tasks), family.action_size)
+    total, shape = np.zeros(len(tasks)), (len(tasks), family.action_size)
+
+    def choose(
+        step: int, seen: FloatArray, rewards: FloatArray | None, running: BoolArray
+    ) -> NDArray[np.float32]:
+        # One generator for all rows: noise differs from row to row, which is all it is for.
         if weights is None:
             actions = generator.uniform(family.action_low, family.action_high, shape)
         else:
-            inputs = network_inputs(family.robot, family.reward, observations, flat)
+            inputs = network_inputs(family.robot, family.reward, seen, flat)
             actions = network_actions(weights, inputs) + noise * generator.standard_normal(shape)
-        actions = np.clip(actions, family.action_low, family.action_high)
-        result = env.step(actions.astype(np.float32))
-        observations = result.observations
-        total += np.where(alive, result.rewards, 0.0)
-        alive &= ~result.terminations
+        return np.clip(actions, family.action_low, family.action_high).astype(np.float32)
+
+    for rolled in roll_out(env, observations, choose, family.horizon):
+        total += np.where(rolled.running, rolled.result.rewards, 0.0)
     return np.asarray(total.reshape(len(family.tasks), episodes).mean(axis=1))
 
 

@@ -19,8 +19,9 @@ from mpdt.data.episode import Episode
 from mpdt.data.lock.file import decisive_packages
 from mpdt.data.lock.fingerprint import other_versions
 from mpdt.data.lock.keeper import MACHINE
-from mpdt.data.sim.batch import BatchEnv, Play, PlaysAhead
+from mpdt.data.sim.batch import BatchEnv, Play
 from mpdt.data.sim.simulators import make_batch
+from mpdt.data.sim.stored import play_stored
 from mpdt.data.spec.tasks import Family, get_family
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
@@ -75,45 +76,14 @@ def replay(dataset: Dataset, episodes: Sequence[Episode], horizon: int) -> Itera
                 options = dict(dataset.spec.get("env") or {})
                 env = make_batch(family, [family.tasks[task]] * len(some), options)
             chosen = [episodes[place] for place in some]
-            play = _play(env, chosen, [SeedKey(seed, *episode.seed_key) for episode in chosen])
+            keys = [SeedKey(seed, *episode.seed_key) for episode in chosen]
+            play = play_stored(env, chosen, keys)
             for row, place in enumerate(some):
                 yield _compare(family, place, chosen[row], play, row, horizon)
 
 
-@dataclass(frozen=True)
-class _Played(Play):
-    """A Play with successes (B, H), or None where the simulator has none."""
-
-    successes: np.ndarray[tuple[int, int], np.dtype[np.bool_]] | None
-
-
-def _play(env: BatchEnv, episodes: Sequence[Episode], keys: Sequence[SeedKey]) -> _Played:
-    longest = max(episode.length for episode in episodes)
-    actions = np.zeros((len(episodes), longest, env.action_size), np.float32)
-    for row, episode in enumerate(episodes):
-        actions[row, : episode.length] = episode.actions
-    first = env.reset(keys, [episode.goal for episode in episodes])
-    if isinstance(env, PlaysAhead):
-        play = env.play(actions)
-        return _Played(play.observations, play.rewards, play.terminations, None)
-    observations, rewards, terminations, successes = [first], [], [], []
-    for step in range(longest):
-        result = env.step(actions[:, step])
-        observations.append(result.observations)
-        rewards.append(result.rewards)
-        terminations.append(result.terminations)
-        if result.successes is not None:
-            successes.append(result.successes)
-    return _Played(
-        np.stack(observations, axis=1),
-        np.stack(rewards, axis=1),
-        np.stack(terminations, axis=1),
-        np.stack(successes, axis=1) if successes else None,
-    )
-
-
 def _compare(
-    family: Family, place: int, episode: Episode, play: _Played, row: int, horizon: int
+    family: Family, place: int, episode: Episode, play: Play, row: int, horizon: int
 ) -> Replayed:
     length = episode.length
     observations = play.observations[row, : length + 1].astype(np.float32)

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mpdt.data.sim.actors import Actor
 from mpdt.data.store.reader import open_tta_rewards
 from mpdt.errors import UsageError
 from mpdt.model.demonstrations import DemonstrationPrompts
@@ -24,7 +25,6 @@ from mpdt.train.adapt.few_shot import choose_labelled, tune
 from mpdt.train.adapt.infer import Explanation, explain
 from mpdt.train.adapt.statistics import LayerStatistics, source_statistics
 from mpdt.train.evaluate.controller import PerTaskController, PromptController
-from mpdt.train.evaluate.rollout import Controller
 from mpdt.train.evaluate.score import Reads
 from mpdt.train.fit.data import sample_demonstrations
 from mpdt.train.fit.reward import fit_reward_model, read_training_tasks, read_transitions
@@ -38,7 +38,7 @@ class Candidate:
     """One row of the table of test tasks."""
 
     label: str
-    controller: Controller
+    controller: Actor
     reads: Reads
 
 

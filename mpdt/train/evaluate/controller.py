@@ -1,19 +1,19 @@
-"""The trained policy as a controller of `evaluate`: one soft prompt and one target per task."""
+"""The trained policy as an actor of `evaluate`: one soft prompt and one target per task."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mpdt.data.sim.actors import Actions, Actor, Observations, Rewards, Rows
 from mpdt.model.closed_loop import ClosedLoop
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.returns import ReturnTable
-from mpdt.seeding import SeedKey
-from mpdt.train.evaluate.rollout import Controller
 
 
 class PromptController:
@@ -37,46 +37,41 @@ class PromptController:
         self._policy, self._prompts, self._returns = policy, prompts.detach(), returns
         self._window, self._low, self._high = window, low, high
         self._loop: ClosedLoop | None = None
-        self._paid: NDArray[np.float32] | None = None
 
-    def begin(self, tasks: NDArray[np.int64], keys: Sequence[SeedKey]) -> None:
+    def begin(self, rows: Rows) -> None:
         self._loop = ClosedLoop(
-            self._policy, self._prompts, torch.from_numpy(tasks), self._window,
+            self._policy, self._prompts, torch.from_numpy(rows.tasks), self._window,
             self._returns, self._low, self._high,
         )  # fmt: skip
-        self._paid = None
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(self, step: int, observations: Observations, rewards: Rewards | None = None) -> Actions:
         assert self._loop is not None, "begin() comes first"
-        actions: NDArray[np.float32] = self._loop.act(observations, self._paid)
+        actions: Actions = self._loop.act(observations, rewards)
         return actions
-
-    def paid(self, rewards: NDArray[np.float32]) -> None:
-        self._paid = rewards
 
 
 class PerTaskController:
-    """A controller of its own for every task; each knows one task, its number 0."""
+    """An actor of its own for every task; each knows one task, its number 0."""
 
-    def __init__(self, controllers: Sequence[Controller]) -> None:
-        self._controllers = controllers
-        self._rows: list[tuple[Controller, NDArray[np.int64]]] = []
+    def __init__(self, actors: Sequence[Actor]) -> None:
+        self._actors = actors
+        self._rows: list[tuple[Actor, NDArray[np.int64]]] = []
 
-    def begin(self, tasks: NDArray[np.int64], keys: Sequence[SeedKey]) -> None:
+    def begin(self, rows: Rows) -> None:
         self._rows = []
-        for task in np.unique(tasks):
-            rows = np.flatnonzero(tasks == task)
-            own = self._controllers[task]
-            own.begin(np.zeros(len(rows), np.int64), [keys[row] for row in rows.tolist()])
-            self._rows.append((own, rows))
+        for task in np.unique(rows.tasks):
+            places = np.flatnonzero(rows.tasks == task)
+            keys = [rows.keys[place] for place in places.tolist()]
+            own = self._actors[task]
+            own.begin(replace(rows, keys=keys, tasks=np.zeros(len(places), np.int64)))
+            self._rows.append((own, places))
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        parts = [own.act(observations[rows]) for own, rows in self._rows]
+    def act(self, step: int, observations: Observations, rewards: Rewards | None = None) -> Actions:
+        parts = [
+            own.act(step, observations[rows], None if rewards is None else rewards[rows])
+            for own, rows in self._rows
+        ]
         actions = np.empty((len(observations), parts[0].shape[1]), np.float32)
         for (_, rows), part in zip(self._rows, parts, strict=True):
             actions[rows] = part
         return actions
-
-    def paid(self, rewards: NDArray[np.float32]) -> None:
-        for own, rows in self._rows:
-            own.paid(rewards[rows])

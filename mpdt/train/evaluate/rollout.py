@@ -2,27 +2,29 @@
 
     rows = tasks x episodes, stepped as one batch (at most `max_rows` at once)
 
-    observation, goal hidden as in the data -> controller -> clip -> env.step -> reward
+    observation, goal hidden as in the data -> actor -> clip -> env.step -> reward
 
-Whatever can choose actions is a `Controller`; the trained policy, a constant action and a
-study's own idea are judged by the same function on the same seeds.
+Whatever can choose actions is an `Actor` (mpdt/data/sim/actors.py); the trained policy, a constant
+action and a study's own idea are judged by the same function on the same seeds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mpdt.data.sim.batch import BatchEnv
+from mpdt.data.sim.actors import Actor, Rows
+from mpdt.data.sim.batch import BatchEnv, roll_out
 from mpdt.data.sim.simulators import make_batch
 from mpdt.errors import TrainingError
 from mpdt.model.limits import check_at_least
-from mpdt.seeding import Quality, SeedKey, Stream
+from mpdt.seeding import Quality, SeedKey
 
 if TYPE_CHECKING:
     from mpdt.data.spec.tasks import Family, Task
@@ -60,25 +62,6 @@ class EvaluationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 Make = Callable[["Family", Sequence["Task"], Mapping[str, float | bool]], BatchEnv]
 
 
-class Controller(Protocol):
-    """Chooses the actions of B rows at once."""
-
-    def begin(self, tasks: NDArray[np.int64], keys: Sequence[SeedKey]) -> None:
-        """New episodes: `tasks` (B,) is each row's position in the evaluated task list.
-
-        Whatever is random comes from the rows' `keys`, so that a row is the same in any batch.
-        """
-        ...
-
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Actions (B, A), not yet clipped, for observations (B, D) with the goal hidden."""
-        ...
-
-    def paid(self, rewards: NDArray[np.float32]) -> None:
-        """The rewards (B,) of the step just taken; return-to-go inputs go down by them."""
-        ...
-
-
 @dataclass(frozen=True)
 class Evaluation:
     """Per task and episode, in the order of the tasks and of the evaluation seeds."""
@@ -107,45 +90,8 @@ class SimulatorCache:
         return self._env
 
 
-class ConstantController:
-    """The same action for every task at every step: knows nothing, reads nothing."""
-
-    def __init__(self, action: NDArray[np.float32]) -> None:
-        self._action, self._rows = action.astype(np.float32), 0
-
-    def begin(self, tasks: NDArray[np.int64], keys: Sequence[SeedKey]) -> None:
-        self._rows = len(tasks)
-
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.tile(self._action, (self._rows, 1))
-
-    def paid(self, rewards: NDArray[np.float32]) -> None:
-        pass
-
-
-class UniformController:
-    """Uniform actions in [low, high), stream UNIFORM of each row's key, as in the data.
-
-    Drawn step by step: the same numbers as all of an episode at once, at any horizon.
-    """
-
-    def __init__(self, action_size: int, low: float, high: float) -> None:
-        self._size, self._low, self._high = action_size, low, high
-        self._generators: list[np.random.Generator] = []
-
-    def begin(self, tasks: NDArray[np.int64], keys: Sequence[SeedKey]) -> None:
-        self._generators = [key.generator(Stream.UNIFORM) for key in keys]
-
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        draws = [g.uniform(self._low, self._high, self._size) for g in self._generators]
-        return np.stack(draws).astype(np.float32)
-
-    def paid(self, rewards: NDArray[np.float32]) -> None:
-        pass
-
-
 def evaluate(
-    controller: Controller,
+    actor: Actor,
     family: Family,
     tasks: Sequence[Task],
     options: Mapping[str, float | bool],
@@ -167,7 +113,7 @@ def evaluate(
         on_progress: called with (steps done, steps in all) once per simulated step.
         make: builds the simulators; hand in `SimulatorCache().make` to build them once.
         goal_key: what an episode's goal is drawn from, given the episode's own key.
-    Raises: TrainingError if the controller's actions are not finite numbers.
+    Raises: TrainingError if the actor's actions are not finite numbers.
     """
     n, E = len(tasks), episodes
     returns = np.zeros((n, E))
@@ -183,36 +129,46 @@ def evaluate(
             for task, e in chunk
         ]
         at = np.array(chunk).T
-        controller.begin(at[0], keys)
-        observations = env.reset(keys, env.draw_goals([goal_key(key) for key in keys]))
-        alive = np.ones(len(chunk), np.bool_)
-        for step in range(horizon):
-            shown = observations.astype(np.float32)
-            shown[:, list(family.hidden_columns)] = 0
-            actions = np.clip(controller.act(shown), env.low, env.high).astype(np.float32)
-            # Rows that have ended are stepped along and do not count, whatever they answer.
-            actions[~alive] = 0
-            if not np.isfinite(actions).all():
-                raise TrainingError("the policy's action is not a number", where=family.name,
-                                    found=f"step {step}, row {chunk[_first_bad(actions)]}",
-                                    hint="training or adaptation diverged: lower --optimiser.lr"
-                                    ", --adapt.lr or --few-shot.lr")  # fmt: skip
-            result = env.step(actions)
+        actor.begin(Rows(keys, horizon=horizon, tasks=at[0]))  # its goal is what it has to find
+        first = env.reset(keys, env.draw_goals([goal_key(key) for key in keys]))
+        choose = partial(_choose, actor, env, family, chunk)
+        for rolled in roll_out(env, first, choose, horizon):
+            running, result = rolled.running, rolled.result
             # As the data counts it: float32 rewards, summed in float64.
             rewards = result.rewards.astype(np.float32)
-            returns[at[0], at[1]] += np.where(alive, rewards, np.float32(0))
-            lengths[at[0], at[1]] += alive
+            returns[at[0], at[1]] += np.where(running, rewards, np.float32(0))
+            lengths[at[0], at[1]] += running
             if result.successes is not None:
-                successes[at[0], at[1]] |= result.successes & alive
-            controller.paid(rewards)
-            observations = result.observations
-            alive &= ~result.terminations
+                successes[at[0], at[1]] |= result.successes & running
             if on_progress:
-                on_progress(number * horizon + step + 1, len(chunks) * horizon)
-            if not alive.any():
-                break
+                on_progress(number * horizon + rolled.step + 1, len(chunks) * horizon)
     names = tuple(task.name for task in tasks)
     return Evaluation(names, returns, lengths, successes if has_success else None)
+
+
+def _choose(
+    actor: Actor,
+    env: BatchEnv,
+    family: Family,
+    rows: Sequence[tuple[int, int]],
+    step: int,
+    observations: NDArray[np.float64],
+    rewards: NDArray[np.float64] | None,
+    running: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    """What the actor answers, as the simulator takes it."""
+    shown = observations.astype(np.float32)
+    shown[:, list(family.hidden_columns)] = 0
+    paid = None if rewards is None else rewards.astype(np.float32)
+    actions = np.clip(actor.act(step, shown, paid), env.low, env.high).astype(np.float32)
+    # Rows that have ended are stepped along and do not count, whatever they answer.
+    actions[~running] = 0
+    if not np.isfinite(actions).all():
+        raise TrainingError("the policy's action is not a number", where=family.name,
+                            found=f"step {step}, row {rows[_first_bad(actions)]}",
+                            hint="training or adaptation diverged: lower --optimiser.lr"
+                            ", --adapt.lr or --few-shot.lr")  # fmt: skip
+    return actions
 
 
 def _first_bad(actions: NDArray[np.float32]) -> int:

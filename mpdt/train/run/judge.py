@@ -19,15 +19,9 @@ import torch
 from numpy.typing import NDArray
 
 from mpdt.data.reference import UNKNOWN, Reference
+from mpdt.data.sim.actors import Actor, ConstantPolicy, UniformPolicy, ZeroPolicy
 from mpdt.train.adapt.candidates import UnseenTasks
-from mpdt.train.evaluate.rollout import (
-    ConstantController,
-    Controller,
-    Evaluation,
-    SimulatorCache,
-    UniformController,
-    evaluate,
-)
+from mpdt.train.evaluate.rollout import Evaluation, SimulatorCache, evaluate
 from mpdt.train.evaluate.score import (
     CONSTANT,
     RANDOM,
@@ -85,7 +79,7 @@ class Judge:
         return with_verdicts(scores)
 
     def _evaluate(
-        self, block: Block, label: str, rows: Sequence[int], controller: Controller, episodes: int,
+        self, block: Block, label: str, rows: Sequence[int], actor: Actor, episodes: int,
     ) -> Evaluation:  # fmt: skip
         material, settings = self.trainer.material, self.trainer.config.evaluation
 
@@ -95,7 +89,7 @@ class Judge:
 
         with torch.no_grad():
             return evaluate(
-                controller, material.family, material.tasks(rows), material.options,
+                actor, material.family, material.tasks(rows), material.options,
                 settings.horizon or material.horizon, episodes, settings.seed, settings.max_rows,
                 on_progress, self.simulators.make, partial(material.goal_key, block=block),
             )  # fmt: skip
@@ -105,12 +99,12 @@ class Judge:
         block: Block,
         method: str,
         rows: Sequence[int],
-        controller: Controller,
+        actor: Actor,
         reads: Reads | None = None,
     ) -> list[Score]:
         settings = self.trainer.config.evaluation
         episodes = (settings.train_episodes if block == "train" else 0) or settings.episodes
-        result = self._evaluate(block, f"{block}: {method}", rows, controller, episodes)
+        result = self._evaluate(block, f"{block}: {method}", rows, actor, episodes)
         random, expert = self._means("random", rows), self._means("expert", rows)
         return scores_of(
             block, method, result.tasks, result.returns, result.successes, random, expert, reads
@@ -139,14 +133,14 @@ class Judge:
         material = self.trainer.material
         family = material.family
         size, low, high = family.action_size, family.action_low, family.action_high
-        zero = self._score(block, ZERO, rows, ConstantController(np.zeros(size, np.float32)))
-        scores = zero + self._score(block, RANDOM, rows, UniformController(size, low, high))
+        zero = self._score(block, ZERO, rows, ZeroPolicy(size))
+        scores = zero + self._score(block, RANDOM, rows, UniformPolicy(size, low, high))
         names = [task.name for task in material.tasks(rows)]
         if constant is None:
             scores += not_measured(block, CONSTANT, names)
         elif not constant.any():
             scores += [msgspec.structs.replace(score, method=CONSTANT) for score in zero]
         else:
-            scores += self._score(block, CONSTANT, rows, ConstantController(constant))
+            scores += self._score(block, CONSTANT, rows, ConstantPolicy(constant))
         experts = self._stored("expert", rows)
         return scores + expert_scores(block, names, experts, self._means("random", rows))

@@ -22,6 +22,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from mpdt.data.sim.actors import Actor, Rows
 from mpdt.data.spec.tasks import Family
 from mpdt.data.store.reader import parse_ref
 from mpdt.errors import MissingFileError, ShapeError, unknown_name
@@ -33,7 +34,6 @@ from mpdt.model.weights import load_weights
 from mpdt.seeding import phase_seed
 from mpdt.train.adapt.align import AdaptationSet, unseen_returns
 from mpdt.train.adapt.candidates import UnseenTasks
-from mpdt.train.evaluate.rollout import Controller
 from mpdt.train.fit.checkpoint import Subject
 from mpdt.train.fit.data import load_material
 from mpdt.train.fit.loop import make_optimizer
@@ -57,9 +57,9 @@ class ActingPolicy:
         slot: the task's number among those the controller knows.
     """
 
-    def __init__(self, controller: Controller, family: Family, slot: int) -> None:
+    def __init__(self, controller: Actor, family: Family, slot: int) -> None:
         self.family = family
-        self._controller, self._slot = controller, slot
+        self._controller, self._slot, self._step = controller, slot, 0
 
     def act(self, observation: ArrayLike, reward: float | None = None) -> NDArray[np.float32]:
         """The action (A,) for an observation (D,) of the task's environment.
@@ -69,12 +69,13 @@ class ActingPolicy:
                 forgets what it has seen.
         """
         if reward is None:
-            self._controller.begin(np.array([self._slot]), [])
-        else:
-            self._controller.paid(np.array([reward], np.float32))
+            self._controller.begin(Rows((), tasks=np.array([self._slot])))
+            self._step = 0
+        paid = None if reward is None else np.array([reward], np.float32)
         shown = np.array([observation], np.float32)
         shown[:, list(self.family.hidden_columns)] = 0  # as in the data
-        wished = self._controller.act(shown)[0]
+        wished = self._controller.act(self._step, shown, paid)[0]
+        self._step += 1
         action: NDArray[np.float32] = wished.clip(self.family.action_low, self.family.action_high)
         return action
 
@@ -123,7 +124,7 @@ def load_policy(
             slot = material.train_rows.index(row)
             with torch.no_grad():
                 prompts = trained.prompts.task_prompts()
-            controller: Controller = unseen.controller(prompts, trained.returns)
+            controller: Actor = unseen.controller(prompts, trained.returns)
         else:
             slot = material.test_rows.index(row)
             if callable(start):

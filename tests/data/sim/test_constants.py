@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mpdt.data.sim.constants import ConstantPolicy, choose_constant, constant_actions
+from mpdt.data.sim.constants import choose_constant, constant_actions
 from mpdt.data.sim.references import constant_names
-from mpdt.seeding import SeedKey
 
 
 def test_candidates_by_hand() -> None:
@@ -38,12 +37,3 @@ def test_no_choice_without_levels() -> None:
     assert choose_constant(np.array([]), np.array([]), np.array([])) is None
     assert choose_constant(one, np.zeros(1), np.array([np.nan])) is None
     assert choose_constant(one, np.zeros(1), np.zeros(1)) is None
-
-
-def test_the_policy_repeats_its_action() -> None:
-    policy = ConstantPolicy(np.array([0.0, -1.0], np.float32))
-    policy.begin([SeedKey(1, 0, 0, 12, 0, row) for row in range(3)], [], horizon=4)
-    assert policy.all_actions().shape == (3, 4, 2)
-    assert (policy.all_actions() == [0.0, -1.0]).all()
-    assert policy.act(2, np.zeros((3, 5))).tolist() == [[0.0, -1.0]] * 3
-    assert policy.info.hash != ConstantPolicy(np.array([0.0, 1.0], np.float32)).info.hash

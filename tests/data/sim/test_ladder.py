@@ -3,6 +3,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
+from mpdt.data.sim.actors import UniformPolicy
 from mpdt.data.sim.calibrate import RULE
 from mpdt.data.sim.calibration import (
     LOCAL_FILE,
@@ -13,7 +14,7 @@ from mpdt.data.sim.calibration import (
     save_calibrations,
 )
 from mpdt.data.sim.ladder import ScriptLadder, load_ladder
-from mpdt.data.sim.policies import ScriptedPolicy, UniformPolicy
+from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import SpecError, UsageError

@@ -8,8 +8,9 @@ import warnings
 import numpy as np
 import pytest
 
+from mpdt.data.sim.actors import Rows
 from mpdt.data.sim.metaworld import GOAL_COLUMNS, MAX_STEPS, MetaworldBatch, MetaworldEnv
-from mpdt.data.sim.policies import ScriptedPolicy
+from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import ShapeError, SpecError, UsageError
@@ -32,7 +33,7 @@ def scripted_bytes(env, names, keys, num_steps):
     goals = env.draw_goals(keys)
     observations = env.reset(keys, goals)
     policy = ScriptedPolicy(names, 0.3)
-    policy.begin(keys, goals, num_steps)
+    policy.begin(Rows(keys, goals, num_steps))
     for goal in goals:
         digest.update(goal.tobytes())
     for step in range(num_steps):
@@ -142,7 +143,7 @@ def test_all_tasks_draw_reset_and_step_like_the_plain_env(name):
         seed = key("reach", row).env_seed(Stream.GOAL)
         goal = fast.draw(seed)
         np.testing.assert_array_equal(goal, slow_draw(plain, seed))
-        policy.begin([key("reach", row)], [goal], MAX_STEPS)
+        policy.begin(Rows([key("reach", row)], [goal], MAX_STEPS))
         observation = fast.reset(goal)
         np.testing.assert_array_equal(observation, plain.reset(goal))
         for step in range(250):
@@ -163,7 +164,7 @@ def test_contact_arrays_give_the_same_bytes_as_the_contact_loop(name):
     observation = fast.reset(goal)
     slow.reset(goal)
     policy = ScriptedPolicy([name], 0.0)
-    policy.begin([key(name)], [goal], 120)
+    policy.begin(Rows([key(name)], [goal], 120))
     for step in range(120):
         action = policy.act(step, observation[None])[0].astype(np.float32)
         observation, *rest = fast.step(action)
@@ -202,7 +203,7 @@ def test_script_with_the_visible_goal_reaches_it():
         goal = env.draw(row)
         observation = env.reset(goal)
         np.testing.assert_array_equal(observation[GOAL_COLUMNS], goal[3:])
-        policy.begin([key("reach", row)], [goal], 100)
+        policy.begin(Rows([key("reach", row)], [goal], 100))
         successes, rewards = [], []
         for step in range(100):
             action = policy.act(step, observation[None])[0].astype(np.float32)

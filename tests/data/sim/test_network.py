@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from mpdt.data.sim.actors import Rows, UniformPolicy
 from mpdt.data.sim.network import (
     NetworkLadder,
     NetworkPolicy,
@@ -17,7 +18,6 @@ from mpdt.data.sim.network import (
     network_files,
     policy_digest,
 )
-from mpdt.data.sim.policies import UniformPolicy
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import SpecError, UsageError
@@ -68,20 +68,20 @@ def test_noise_comes_from_the_row_and_is_a_prefix() -> None:
     keys = [SeedKey(1, 0, 0, Quality.EXPERT, 0, row) for row in range(2)]
     goals = [np.array([1.0])] * 2
     observations = np.zeros((2, 20))
-    policy.begin(keys, goals, 3)
+    policy.begin(Rows(keys, goals, 3))
     first = policy.act(0, observations)
     draw = keys[1].generator(Stream.POLICY).standard_normal((3, 6), np.float32)
-    policy.begin(keys, goals, 200)
+    policy.begin(Rows(keys, goals, 200))
     assert np.array_equal(policy.act(0, observations), first)
     quiet, _ = NetworkLadder(spec(noise=0.0)).policy(FAMILY.tasks[0], "expert", 0)
-    quiet.begin(keys, goals, 3)
+    quiet.begin(Rows(keys, goals, 3))
     np.testing.assert_allclose(first[1] - quiet.act(0, observations)[1], 0.1 * draw[0], atol=1e-6)
 
 
 def test_goal_reaches_the_network() -> None:
     policy, _ = NetworkLadder(spec()).policy(FAMILY.tasks[0], "expert", 0)
     keys = [SeedKey(1, 0, 0, Quality.EXPERT, 0, 0)] * 2
-    policy.begin(keys, [np.array([1.0]), np.array([-1.0])], 1)
+    policy.begin(Rows(keys, [np.array([1.0]), np.array([-1.0])], 1))
     forward, backward = policy.act(0, np.zeros((2, 20)))
     assert np.abs(forward - backward).max() > 0.1
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from mpdt.data.sim.actors import OpenLoopPolicy, Rows, UniformPolicy, ZeroPolicy
 from mpdt.data.sim.locomotion import STRETCH, LocomotionBatch
 from mpdt.data.sim.play import run_block
-from mpdt.data.sim.policies import OpenLoopPolicy, UniformPolicy, ZeroPolicy
 from mpdt.data.spec.tasks import get_family
 from mpdt.seeding import Quality, SeedKey
 
@@ -24,10 +23,10 @@ class Stepwise:
     def __init__(self, policy: UniformPolicy | ZeroPolicy) -> None:
         self.info, self._policy = policy.info, policy
 
-    def begin(self, keys: Sequence[SeedKey], goals: Sequence[Any], horizon: int) -> None:
-        self._policy.begin(keys, goals, horizon)
+    def begin(self, rows: Rows) -> None:
+        self._policy.begin(rows)
 
-    def act(self, step: int, observations: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    def act(self, step: int, observations: Any, rewards: Any = None) -> npt.NDArray[np.float64]:
         return self._policy.act(step, observations)
 
 
@@ -64,7 +63,7 @@ def test_a_fall_ends_the_episode_and_nothing_follows_it() -> None:
     batch = LocomotionBatch(family, [family.tasks[0]] * 8)
     batch.reset(keys, batch.draw_goals(keys))
     policy = UniformPolicy(8, -1.0, 1.0)
-    policy.begin(keys, [], 200)
+    policy.begin(Rows(keys, [], 200))
     play = batch.play(policy.all_actions().astype(np.float32))
     fallen = play.terminations.any(axis=1)
     assert fallen.any()

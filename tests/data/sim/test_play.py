@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.sim.actors import Rows
 from mpdt.data.sim.batch import StepResult
 from mpdt.data.sim.play import run_block
 from mpdt.errors import DataError
@@ -61,10 +62,10 @@ class RisingPolicy:
         self.factor = factor
         self.seen: list[Any] = []
 
-    def begin(self, keys: Sequence[SeedKey], goals: Sequence[Any], horizon: int) -> None:
-        self.keys, self.goals, self.horizon = list(keys), list(goals), horizon
+    def begin(self, rows: Rows) -> None:
+        self.keys, self.goals, self.horizon = list(rows.keys), list(rows.goals), rows.horizon
 
-    def act(self, step: int, observations: Any) -> Any:
+    def act(self, step: int, observations: Any, rewards: Any = None) -> Any:
         self.seen.append(observations.copy())
         return np.full((len(observations), 1), self.factor * (step + 1))
 
@@ -146,7 +147,7 @@ def test_a_short_block_shows_the_policy_its_full_width() -> None:
 class MixingPolicy(RisingPolicy):
     """A matrix product, so that the batch width could matter."""
 
-    def act(self, step: int, observations: Any) -> Any:
+    def act(self, step: int, observations: Any, rewards: Any = None) -> Any:
         weights = np.linspace(-0.4, 0.9, 2, dtype=np.float32)[:, None]
         return np.tanh(observations.astype(np.float32) @ weights)
 

@@ -5,16 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from mpdt.data.sim.actors import ConstantPolicy, Rows, UniformPolicy, ZeroPolicy, uniform_actions
 from mpdt.data.sim.batch import StepResult
-from mpdt.data.sim.policies import uniform_actions
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import TrainingError, UsageError
 from mpdt.seeding import Quality, SeedKey
 from mpdt.train.evaluate.rollout import (
-    ConstantController,
     EvaluationSettings,
     SimulatorCache,
-    UniformController,
     evaluate,
 )
 
@@ -47,23 +45,22 @@ class ToyEnv:
         )
 
 
-class Watcher(ConstantController):
+class Watcher(ConstantPolicy):
     """Acts 2 (to be clipped to 1) and remembers what it was shown and paid."""
 
     def __init__(self):
         super().__init__(np.array([2.0], np.float32))
         self.seen, self.rewards, self.tasks = [], [], []
 
-    def begin(self, tasks, keys):
-        super().begin(tasks, keys)
-        self.tasks.append(tasks.tolist())
+    def begin(self, rows):
+        super().begin(rows)
+        assert rows.goals == ()
+        self.tasks.append(rows.tasks.tolist())
 
-    def act(self, observations):
+    def act(self, step, observations, rewards=None):
         self.seen.append(observations.tolist())
-        return super().act(observations)
-
-    def paid(self, rewards):
-        self.rewards.append(rewards.tolist())
+        self.rewards.append(None if rewards is None else rewards.tolist())
+        return super().act(step, observations)
 
 
 def run(controller, **options):
@@ -81,7 +78,8 @@ def test_sums_by_hand():
     assert result.lengths.tolist() == [[3, 3], [2, 2]]
     assert result.successes.tolist() == [[True, True], [False, False]]
     assert watcher.seen[0] == [[1.0, 0.0]] * 4, "column 1 is hidden"
-    assert watcher.rewards[0] == [7.0, 7.0, 9.0, 9.0], "the raw action 2 was clipped to 1"
+    assert watcher.rewards[0] is None
+    assert watcher.rewards[1] == [7.0, 7.0, 9.0, 9.0], "the raw action 2 was clipped to 1"
     assert watcher.tasks == [[0, 0, 1, 1]]
 
 
@@ -110,40 +108,78 @@ def test_progress_counts_steps():
 
 
 def test_a_diverged_policy_is_named():
+    diverged = Watcher()
+    diverged.act = lambda step, seen, rewards=None: np.full((len(seen), 1), np.nan)
     with pytest.raises(TrainingError, match="toy: the policy's action is not a number; found step"):
-        run(ConstantController(np.array([np.nan], np.float32)))
+        run(diverged)
 
 
 def test_rows_that_have_ended_may_answer_anything():
     """Task b ends after 2 steps; from then on its rows answer NaN and are shown to no one."""
 
     class Ends(Watcher):
-        def act(self, observations):
-            actions = super().act(observations)
-            if len(self.seen) > 2:
+        def act(self, step, observations, rewards=None):
+            actions = super().act(step, observations, rewards)
+            if step > 1:
                 actions[2:] = np.nan
             return actions
 
     watcher = Ends()
-    result = run(watcher)
-    assert result.returns.tolist() == [[21.0, 21.0], [18.0, 18.0]]
-    assert watcher.rewards[2] == [7.0, 7.0, 0.0, 0.0]
+    result = run(watcher, horizon=4)
+    assert result.returns.tolist() == [[28.0, 28.0], [18.0, 18.0]]
+    assert watcher.rewards[3] == [7.0, 7.0, 0.0, 0.0]
 
 
 def test_random_actions_are_those_the_data_would_draw():
-    """The slow twin draws an episode at once; another batch or horizon changes no row."""
+    """Another batch or horizon changes no row."""
     keys = [SeedKey(5, 3, task, Quality.EVALUATION, 0, row) for task in (7, 9) for row in (0, 1)]
     twin = uniform_actions(keys, 4, 2, -1.0, 1.0).astype(np.float32)
-    acting = UniformController(2, -1.0, 1.0)
-    acting.begin(np.array([0, 0, 1, 1]), keys)
+    acting = UniformPolicy(2, -1.0, 1.0)
     nothing = np.zeros((4, 1), np.float32)
-    np.testing.assert_array_equal(np.stack([acting.act(nothing) for _ in range(4)], 1), twin)
-    acting.begin(np.array([1]), keys[2:3])
-    np.testing.assert_array_equal(acting.act(nothing[:1]), twin[2:3, 0])
+    acting.begin(Rows(keys, horizon=4))
+    acted = np.stack([acting.act(step, nothing) for step in range(4)], 1)
+    np.testing.assert_array_equal(acted.astype(np.float32), twin)
+    acting.begin(Rows(keys[2:3], horizon=1))
+    np.testing.assert_array_equal(acting.act(0, nothing[:1]).astype(np.float32), twin[2:3, 0])
+
+
+TRIVIAL = {  # returns (2 tasks, 2 episodes), from when evaluation had actors of its own
+    ("cheetah_dir", "zero"): [
+        [0.6514615528285503, -0.5436108708381653], [0.22919786348938942, -0.16700990917161107],
+    ],
+    ("cheetah_dir", "uniform"): [
+        [-1.155244529247284, 0.258211474865675], [0.3960640737786889, -1.4843267500400543],
+    ],
+    ("cheetah_dir", "constant"): [
+        [1.9025258272886276, 1.700876623392105], [-2.5586061775684357, -2.403450071811676],
+    ],
+    ("ant_dir", "zero"): [
+        [4.4530141949653625, 4.695204377174377], [4.8444704413414, 4.75806999206543],
+    ],
+    ("ant_dir", "uniform"): [
+        [-1.676209481433034, -3.5641587525606155], [1.8839834854006767, -0.35282937809824944],
+    ],
+    ("ant_dir", "constant"): [
+        [-1.2885422930121422, 0.4998173303902149], [0.5819035097956657, -0.09958753152750432],
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "who"), TRIVIAL)
+def test_trivial_rows_earn_what_they_always_did(name, who):
+    family = get_family(name)
+    size = family.action_size
+    actors = {
+        "zero": ZeroPolicy(size),
+        "uniform": UniformPolicy(size, -1.0, 1.0),
+        "constant": ConstantPolicy(np.full(size, 0.5, np.float32)),
+    }
+    found = evaluate(actors[who], family, family.tasks[:2], {}, 5, 2, 3)
+    np.testing.assert_allclose(found.returns, TRIVIAL[name, who], rtol=1e-9)
 
 
 def test_random_rows_do_not_depend_on_the_batch():
-    acting = UniformController(1, -1.0, 1.0)
+    acting = UniformPolicy(1, -1.0, 1.0)
     whole, chunked = run(acting), run(acting, max_rows=3)
     np.testing.assert_array_equal(whole.returns, chunked.returns)
     assert len(set(whole.returns.ravel())) == 4, "every row draws its own actions"
@@ -158,7 +194,7 @@ def test_the_cache_builds_once_and_again_for_other_tasks():
 
 def test_a_real_simulator_gives_the_same_numbers_again_and_from_a_cache():
     family = get_family("cheetah_dir")
-    action = ConstantController(np.full(6, 0.5, np.float32))
+    action = ConstantPolicy(np.full(6, 0.5, np.float32))
     cache = SimulatorCache()
     results = [
         evaluate(action, family, family.tasks, {}, 5, 2, 0, make=make)

@@ -14,11 +14,12 @@ import pytest
 import torch
 
 from mpdt.data.reference import References
+from mpdt.data.sim.actors import UniformPolicy, ZeroPolicy
 from mpdt.model.prompts import AdaptedPrompts, PromptSettings, SharedPrompt
 from mpdt.model.returns import ReturnTable
 from mpdt.train.adapt import candidates as unseen
 from mpdt.train.adapt.candidates import UnseenTasks
-from mpdt.train.evaluate.rollout import ConstantController, Evaluation, UniformController, evaluate
+from mpdt.train.evaluate.rollout import Evaluation, evaluate
 from mpdt.train.evaluate.score import MEAN
 from mpdt.train.fit.data import Material, load_material
 from mpdt.train.run import judge
@@ -51,8 +52,8 @@ def test_trivial_policies_are_run_on_the_evaluation_seeds_at_any_horizon(tiny_fi
     found = {(s.method, s.task): s for s in scores}
     family = subject.trainer.material.family
     by_hand = {
-        "zero action": ConstantController(np.zeros(6, np.float32)),
-        "random": UniformController(6, -1.0, 1.0),
+        "zero action": ZeroPolicy(6),
+        "random": UniformPolicy(6, -1.0, 1.0),
     }
     for method, controller in by_hand.items():
         result = evaluate(controller, family, family.tasks, {}, 4, 2, seed=3)
@@ -73,10 +74,8 @@ class Played:
 
     def __call__(self, controller, family, tasks, *_):
         name = type(controller).__name__
-        if isinstance(controller, ConstantController):
-            name = "constant" if controller.act(None).any() else "zero"
         self.runs.append((name, tuple(task.name for task in tasks)))
-        middle = 1.0 if name == "zero" else 5.0
+        middle = 1.0 if name == "ZeroPolicy" else 5.0
         returns = np.full((len(tasks), 2), middle) + np.array([-0.5, 0.5])
         return Evaluation(tuple(task.name for task in tasks), returns, returns.astype(int), None)
 
@@ -86,7 +85,6 @@ def played(monkeypatch):
     """`best constant` is zero action unless a test says otherwise."""
     fake = Played()
     monkeypatch.setattr(judge, "evaluate", fake)
-    monkeypatch.setattr(ConstantController, "act", lambda self, _: self._action)
     monkeypatch.setattr(Judge, "_constant_action", lambda self: np.zeros(6, np.float32))
     monkeypatch.setattr(UnseenTasks, "controller", lambda self, *_: SimpleNamespace())
     monkeypatch.setattr(UnseenTasks, "_statistics", lambda self: None)
@@ -110,7 +108,7 @@ def test_a_trivial_policy_is_run_on_a_task_once(judged, played):
     """Roles are `both`, and the best constant is zero action: zero, random and three MPDT."""
     scores = judged()
     assert [name for name, _ in played.runs] == [
-        "zero", "UniformController", "SimpleNamespace", "SimpleNamespace", "SimpleNamespace",
+        "ZeroPolicy", "UniformPolicy", "SimpleNamespace", "SimpleNamespace", "SimpleNamespace",
     ]  # fmt: skip
     for block in ("train", "test"):
         means = {s.method: s.mean for s in scores if s.block == block and s.task == MEAN}
@@ -123,7 +121,10 @@ def test_other_test_tasks_are_run_by_themselves(judged, played, monkeypatch):
         globals(), "load_material", lambda *a: replace(load(*a), train_rows=(0,), test_rows=(1,))
     )
     judged()
-    assert ("zero", ("forward",)) in played.runs and ("zero", ("backward",)) in played.runs
+    assert ("ZeroPolicy", ("forward",)) in played.runs and (
+        "ZeroPolicy",
+        ("backward",),
+    ) in played.runs
 
 
 def test_the_constant_action_is_the_one_in_the_file(tiny_file):

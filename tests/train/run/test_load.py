@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -61,10 +62,10 @@ def test_the_plain_loop_is_the_evaluation(finished, task, start):
     class OneRow:
         """Its task's prompt among all."""
 
-        def begin(self, tasks, keys):
-            policy._controller.begin(np.array([row.index]), keys)
+        def begin(self, rows):
+            policy._controller.begin(replace(rows, tasks=np.array([row.index])))
 
-        act, paid = policy._controller.act, policy._controller.paid
+        act = policy._controller.act
 
     judged = evaluate(OneRow(), family, [row], {}, HORIZON, 1, seed=5)
     key = SeedKey(5, family.id, row.index, Quality.EVALUATION, 0, 0)

@@ -5,8 +5,9 @@ import hashlib
 import numpy as np
 import pytest
 
+from mpdt.data.sim.actors import ConstantPolicy, Rows, UniformPolicy, ZeroPolicy, definition_hash
 from mpdt.data.sim.metaworld import MetaworldEnv, scripted_policy
-from mpdt.data.sim.policies import ScriptedPolicy, UniformPolicy, ZeroPolicy, definition_hash
+from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.errors import UsageError
 from mpdt.seeding import SeedKey, Stream
 
@@ -16,7 +17,7 @@ BLANK = np.zeros((3, 39))
 
 
 def run(policy, keys, horizon, observations=BLANK):
-    policy.begin(keys, GOALS[: len(keys)], horizon)
+    policy.begin(Rows(keys, GOALS[: len(keys)], horizon))
     return np.stack([policy.act(t, observations[: len(keys)]) for t in range(horizon)], axis=1)
 
 
@@ -49,6 +50,15 @@ def test_uniform_scale_widens_the_box():
 
 def test_zero_policy():
     assert run(ZeroPolicy(4), KEYS, 2).tolist() == np.zeros((3, 2, 4)).tolist()
+
+
+def test_constant_policy_repeats_its_action():
+    policy = ConstantPolicy(np.array([0.0, -1.0], np.float32))
+    policy.begin(Rows(KEYS, horizon=4))
+    assert policy.all_actions().shape == (3, 4, 2)
+    assert (policy.all_actions() == [0.0, -1.0]).all()
+    assert policy.act(2, np.zeros((3, 5))).tolist() == [[0.0, -1.0]] * 3
+    assert policy.info.hash != ConstantPolicy(np.array([0.0, 1.0], np.float32)).info.hash
 
 
 def test_hashes_tell_policies_apart_and_nothing_else():
@@ -129,4 +139,4 @@ def test_rate_outside_the_unit_interval_is_refused(rate):
 
 def test_unknown_script_names_the_nearest():
     with pytest.raises(UsageError, match="did you mean 'reach'"):
-        ScriptedPolicy(["reech"]).begin(KEYS[:1], GOALS[:1], 5)
+        ScriptedPolicy(["reech"]).begin(Rows(KEYS[:1], GOALS[:1], 5))

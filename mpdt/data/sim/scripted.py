@@ -1,0 +1,99 @@
+"""The scripted policy: Meta-World's experts mixed with uniform actions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import metadata
+
+import numpy as np
+import numpy.typing as npt
+
+from mpdt.data.episode import PolicyInfo
+from mpdt.data.sim.actors import (
+    FloatArray,
+    Observations,
+    Rewards,
+    Rows,
+    definition_hash,
+    uniform_actions,
+)
+from mpdt.data.sim.metaworld import ACTION_SIZE, quiet
+from mpdt.data.sim.scripts import Expert, corrections_of
+from mpdt.errors import UsageError
+from mpdt.seeding import Stream
+
+
+class ScriptedPolicy:
+    """The scripted expert (scripts.py); with chance `mix_rate` per step a uniform action instead.
+
+        step       0       1       2       3
+        coin      .81     .12     .64     .97      stream POLICY, one number per step
+        rate .30  script  random  script  script   random where coin < rate
+        rate .70  script  random  random  script   a higher rate replaces these and more
+
+    Rate 0 is the script alone, rate 1 exactly `UniformPolicy` (coins are in [0, 1)). Random
+    actions are drawn for every step, so those that remain are the same at every rate. Experts
+    are functions of one observation, keep no state, and answer within [-1, 1].
+
+    Args:
+        task_names: Meta-World task of each row, without "-v3".
+        mix_rate: in [0, 1].
+        task, rung, level: what to record about it (see PolicyInfo); -1 = unknown.
+
+    Raises: UsageError for a rate outside [0, 1] or a task Meta-World has no script for.
+    """
+
+    def __init__(
+        self,
+        task_names: Sequence[str],
+        mix_rate: float = 0.0,
+        *,
+        task: int = -1,
+        rung: int = -1,
+        level: float = -1.0,
+    ) -> None:
+        if not 0.0 <= mix_rate <= 1.0:
+            raise UsageError(
+                "mixing rate out of range", expected="a number in [0, 1]", found=str(mix_rate)
+            )
+        self.task_names, self.mix_rate = tuple(task_names), mix_rate
+        self._scripts: list[Expert] | None = None
+        self._coins: npt.NDArray[np.bool_] | None = None
+        self._uniform: FloatArray | None = None
+        definition: dict[str, object] = {
+            "kind": "script",
+            # Which rows stand side by side is no part of how one of them acts.
+            "tasks": sorted(set(task_names)),
+            "metaworld": metadata.version("metaworld"),
+            "mix_rate": float(mix_rate),
+        }
+        if corrections := corrections_of(task_names):  # no such key for Meta-World's own script
+            definition["corrections"] = corrections
+        self.info = PolicyInfo(
+            hash=definition_hash(definition),
+            task=task,
+            rung=rung,
+            level=level,
+            train_step=-1,
+            mix_rate=mix_rate,
+            name=f"script+u{mix_rate:.2f}" if mix_rate else "script",
+        )
+
+    def begin(self, rows: Rows) -> None:
+        assert len(rows.keys) == len(self.task_names), "one key per row"
+        if self._scripts is None:
+            self._scripts = [Expert(name) for name in self.task_names]
+        coins = [key.generator(Stream.POLICY).random(rows.horizon) for key in rows.keys]
+        self._coins = np.stack(coins) < self.mix_rate
+        self._uniform = uniform_actions(rows.keys, rows.horizon, ACTION_SIZE, -1.0, 1.0)
+
+    def act(
+        self, step: int, observations: Observations, rewards: Rewards | None = None
+    ) -> FloatArray:
+        assert self._scripts is not None and self._coins is not None, "begin() comes first"
+        assert self._uniform is not None
+        actions = self._uniform[:, step].copy()
+        with quiet():  # scripts warn whenever they answer outside [-1, 1]
+            for row in np.flatnonzero(~self._coins[:, step]):
+                actions[row] = self._scripts[row].act(observations[row])
+        return actions
