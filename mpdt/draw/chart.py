@@ -21,7 +21,7 @@ PLOT_HEIGHT = 150
 TOP, RIGHT, BOTTOM, LEFT = 8, 18, 34, 56
 ROW = 15  # height of one row of a chart of rows
 LETTER = 6.2  # width of a letter of row names, roughly
-NAME = 22  # letters of a row name that are shown; the rest when pointed at
+NAME = 22  # letters of a row name that are shown on a phone; the rest when pointed at
 LARGEST = 1e300  # files may hold anything; the span of an axis stays finite
 
 Floats = npt.NDArray[np.float64]
@@ -142,16 +142,15 @@ class Chart:
     marks: tuple[Mark, ...]
     row_names: tuple[str, ...] = ()
     """From top to bottom, instead of ticks of the y axis: row i is y from i to i + 1."""
+    width: float = WIDTH
+    letters: int = NAME
+    """Of a row name that are shown."""
 
     @property
     def left(self) -> float:
         if not self.row_names:
             return LEFT
-        return 14 + LETTER * min(NAME, max(map(len, self.row_names)))
-
-    @property
-    def width(self) -> float:
-        return WIDTH
+        return 14 + LETTER * min(self.letters, max(map(len, self.row_names)))
 
     @property
     def bottom(self) -> float:
@@ -163,7 +162,7 @@ class Chart:
         return self.bottom + BOTTOM
 
     def at_x(self, number: float) -> float:
-        return round(self.left + self.x.share(number) * (WIDTH - RIGHT - self.left), 1)
+        return round(self.left + self.x.share(number) * (self.width - RIGHT - self.left), 1)
 
     def at_y(self, number: float) -> float:
         share = self.y.share(number)
@@ -174,7 +173,7 @@ class Chart:
         return " ".join(f"{self.at_x(x):g},{self.at_y(y):g}" for x, y in mark.points.tolist())
 
     def x_ticks(self) -> list[tuple[float, str]]:
-        span = WIDTH - RIGHT - self.left
+        span = self.width - RIGHT - self.left
         return [(round(self.left + share * span, 1), text) for share, text in self.x.ticks()]
 
     def y_ticks(self) -> list[tuple[float, str]]:

@@ -35,8 +35,7 @@ def environment(package: str = TEMPLATES) -> Environment:
         loader=ChoiceLoader(loaders), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    made.globals |= {"top": chart.TOP, "right": chart.RIGHT, "letters": chart.NAME,
-                     "corners": _corners}  # fmt: skip
+    made.globals |= {"top": chart.TOP, "right": chart.RIGHT, "corners": _corners}  # fmt: skip
     made.filters |= {"number": number, "shorten": shorten, "picture": picture}
     return made
 

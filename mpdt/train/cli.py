@@ -199,9 +199,9 @@ def _report(command: Report) -> int:
     print_results(results, command.json)
     weights = command.folder / "weights.safetensors"
     if command.output is not None and weights.exists():
-        from mpdt.train.report.plots import plot_prompts
+        from mpdt.train.report.pictures import draw_prompts
 
-        plot_prompts(weights, command.output)
+        draw_prompts(weights, command.output)
     if command.html is not None:
         from mpdt.train.report.page import run_content, write_result
 

@@ -121,8 +121,8 @@ class Report:
     folder: tyro.conf.Positional[Path]
     """A run's folder, such as runs/ml10-base, or a study's results: results/studies/one-block."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Write tables.md, tables.csv and plots of a study there, or the maps of a run's prompts
-    (plots need the extra `docs`)."""
+    """Write tables.md, tables.csv and pictures (SVG) of a study there, or the maps of a
+    run's prompts."""
     html: Path | None = None
     """Write one page with tables, bars, curves and maps of prompts there; it needs no network."""
     json: bool = False

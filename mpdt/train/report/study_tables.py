@@ -27,7 +27,7 @@ def report_tables(cells: Sequence[CellResult], study: str) -> list[Table]:
 
 
 def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
-    """Tables on stdout (or the cells as JSON); with `output` also as files and plots."""
+    """Tables on stdout (or the cells as JSON); with `output` also as files and pictures."""
     cells = read_cells(folder)
     if as_json:
         sys.stdout.write(json.dumps([cell.content for cell in cells]) + "\n")
@@ -40,12 +40,12 @@ def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
     for table in rich_tables(tables):
         console.print(table)
     if output is not None:
-        from mpdt.train.report.plots import plot_kept_prompts, plot_study
+        from mpdt.train.report.pictures import draw_kept_prompts, draw_study
 
         with disk(output):
             output.mkdir(parents=True, exist_ok=True)
         markdown = markdown_page({"name": folder.name}, tables, NORMALISED)
         write_atomic(output / "tables.md", markdown.encode())
         write_atomic(output / "tables.csv", cells_csv(cells).encode())
-        plot_study(cells, output)
-        plot_kept_prompts(cells, folder, output)
+        draw_study(cells, output)
+        draw_kept_prompts(cells, folder, output)

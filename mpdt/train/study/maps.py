@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 MAPS = 10  # task prompts drawn, as in the rebuttal
 KEPT = ".prompts.safetensors"
 NAMES = ("prompts.cross", "prompts.task_v", "prompts.task_u")
+SHADES = 8
 BLUE, WHITE, RED = ((33.0, 102.0, 172.0), (247.0, 247.0, 247.0), (178.0, 24.0, 43.0))
 
 
@@ -66,10 +67,11 @@ def _task_prompts(weights: Path) -> tuple[WeightsHeader, dict[str, Tensor]]:
 def map_pixels(values: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
     """(l, s) numbers as (l, s, 3) colours: blue below zero, white at it, red above.
 
-    The scale ends at the 99th percentile of the absolute values.
+    The scale ends at the 99th percentile of the absolute values, in `SHADES` to both sides: noise
+    does not compress, and more of them cannot be told apart.
     """
     size = float(np.quantile(np.abs(values), 0.99)) or 1.0
-    share = np.clip(np.nan_to_num(values / size), -1, 1)[..., None]
+    share = (np.clip(np.nan_to_num(values / size), -1, 1) * SHADES).round()[..., None] / SHADES
     end = np.where(share > 0, RED, BLUE)
     pixels: npt.NDArray[np.uint8] = (WHITE + np.abs(share) * (end - WHITE)).round().astype(np.uint8)
     return pixels

@@ -1,0 +1,158 @@
+"""Pictures of a study as SVG files: what every method earns, what was lost on the way, prompts.
+
+DATA-tasks.svg        mean over the test tasks of every row, coloured by what was read
+DATA-each-task.svg    every test task: the trivial rows, and of each kind of reading the best
+DATA-training.svg     action loss, one chart per method, its seeds thin and their mean thick
+DATA-adaptation.svg   alignment loss likewise, one chart per method and start
+DATA-prompts.svg      maps of P_c and the first P_k of one cell
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mpdt.disk import disk
+from mpdt.draw.chart import Axis, Chart, Dot, Mark, axis_over, line, row_chart
+from mpdt.draw.sheet import Sheet, write_sheet
+from mpdt.train.report.charts import REFERENCE, Points
+from mpdt.train.study.maps import KEPT, map_pixels, prompt_maps
+from mpdt.train.study.summary import CellResult, Row, best_of_each, summarise, task_intervals
+
+WIDE, LETTERS = 720, 48  # names are written out: nothing is told by pointing at a linked picture
+COLOURS = {
+    "nothing": "c3", "task id": "c6", "X": "c0", "X+rewards": "c2", "labelled steps": "c1",
+    "demonstration": "c4",
+}  # fmt: skip
+"""CSS key of what was read; references are grey."""
+
+
+def draw_study(cells: Sequence[CellResult], folder: Path) -> list[Path]:
+    """The first four pictures of every data set; those with nothing to show are left out.
+
+    Raises: StorageError where the disk refuses.
+    """
+    made = []
+    for data in dict.fromkeys(cell.data for cell in cells):
+        own = [cell for cell in cells if cell.data == data]
+        for name, draw in _PICTURES.items():
+            sheet = draw(data, own)
+            if sheet.charts:
+                made.append(_write(folder / f"{data}-{name}.svg", sheet))
+    return made
+
+
+def draw_kept_prompts(cells: Sequence[CellResult], results: Path, folder: Path) -> list[Path]:
+    """Per data set the maps of one cell, an `MPDT-E` if there is one; of what its study kept."""
+    made = []
+    for data in dict.fromkeys(cell.data for cell in cells):
+        own = [cell for cell in cells if cell.data == data]
+        own.sort(key=lambda cell: (cell.label != "MPDT-E", cell.seed))
+        kept = [results / f"{cell.content['cell']}{KEPT}" for cell in own]
+        for path in [path for path in kept if path.exists()][:1]:
+            title = f"{data}: prompts of {path.name.removesuffix(KEPT)}"
+            made += draw_prompts(path, folder, f"{data}-prompts.svg", title)
+    return made
+
+
+def draw_prompts(
+    weights: Path, folder: Path, name: str = "prompts.svg", title: str = "prompts"
+) -> list[Path]:
+    """P_c and the first P_k of a trained run as maps (l, s); nothing for prompts of other kinds.
+
+    Raises: FormatError for damaged weights; StorageError.
+    """
+    maps = [(name, map_pixels(values)) for name, values in prompt_maps(weights).items()]
+    if not maps:
+        return []
+    told = [("c0", "below zero"), ("c4", "above; a row per token, a column per dimension")]
+    return [_write(folder / name, Sheet(title, legend=told, images=maps, least_width=WIDE))]
+
+
+def _write(target: Path, sheet: Sheet) -> Path:
+    with disk(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+    write_sheet(target, sheet)
+    return target
+
+
+def _tasks(data: str, cells: Sequence[CellResult]) -> Sheet:
+    rows = [row for row in summarise(cells, "test") if math.isfinite(row.mean)]
+    rows.sort(key=lambda row: -row.mean)
+    named = [(row.method, _dot(row, row.mean, *row.interval)) for row in rows]
+    axis = _axis([dot for _, dot in named], "mean return on the test tasks, 95 % interval")
+    charts = [_bars("", named, axis)] if rows else []
+    return Sheet(f"{data}: unseen tasks, by what was read of them", charts, _legend(rows))
+
+
+def _each_task(data: str, cells: Sequence[CellResult]) -> Sheet:
+    rows = best_of_each(summarise(cells, "test"))
+    of_task = {
+        task: [(row.method, _dot(row, *known[row.method])) for row in rows if row.method in known]
+        for task, known in task_intervals(cells, "test").items()
+    }
+    axis = _axis([dot for named in of_task.values() for _, dot in named], "return, 95 % interval")
+    title = f"{data}: every unseen task, of each kind of reading the best"
+    charts = [_bars(task, named, axis) for task, named in of_task.items() if named]
+    return Sheet(title, charts, _legend(rows))
+
+
+def _axis(dots: Iterable[Dot], label: str) -> Axis:
+    return axis_over([0.0, *(e for dot in dots for e in (dot.value, dot.low, dot.high))], label)
+
+
+def _bars(title: str, rows: Sequence[tuple[str, Dot]], axis: Axis) -> Chart:
+    drawn = row_chart(title, [(name, [dot]) for name, dot in rows], axis, bars=True)
+    return replace(drawn, width=WIDE, letters=LETTERS)
+
+
+def _dot(row: Row, middle: float, low: float, high: float) -> Dot:
+    return Dot(COLOURS.get(row.reads, REFERENCE), middle, low, high)
+
+
+def _legend(rows: Iterable[Row]) -> list[tuple[str, str]]:
+    reads = {row.reads for row in rows}
+    known = [(key, name) for name, key in COLOURS.items() if name in reads]
+    return known + [(REFERENCE, "references")] * ("-" in reads)
+
+
+def _training(data: str, cells: Sequence[CellResult]) -> Sheet:
+    return _curves(f"{data}: action loss over updates", cells, "student")
+
+
+def _adaptation(data: str, cells: Sequence[CellResult]) -> Sheet:
+    return _curves(f"{data}: alignment loss over updates", cells, "adapt")
+
+
+def _curves(title: str, cells: Sequence[CellResult], phase: str) -> Sheet:
+    """One chart per label, all with the same axis of losses."""
+    found: dict[str, list[Points]] = {}
+    for cell in cells:
+        for name, points in cell.content.get("curve", {}).items():
+            if name.startswith(phase) and points:
+                found.setdefault(" ".join([cell.label, *name.split()[1:]]), []).append(points)
+    losses = [loss for seeds in found.values() for points in seeds for _, loss in points]
+    y = axis_over(losses, "loss", is_log=True)
+    charts = [_curve(label, seeds, y) for label, seeds in found.items()]
+    return Sheet(title, charts, columns=3)
+
+
+def _curve(label: str, seeds: Sequence[Points], y: Axis) -> Chart:
+    marks: list[Mark] = []
+    at: dict[float, list[float]] = {}
+    for points in seeds:
+        marks.append(line("thin", [step for step, _ in points], [loss for _, loss in points]))
+        for step, loss in points:
+            at.setdefault(step, []).append(loss)
+    steps = sorted(at)
+    marks.append(line("c0", steps, [float(np.mean(at[step])) for step in steps]))
+    return Chart(label, axis_over([0.0, *steps], "updates"), y, tuple(marks))
+
+
+_PICTURES: dict[str, Callable[[str, Sequence[CellResult]], Sheet]] = {
+    "tasks": _tasks, "each-task": _each_task, "training": _training, "adaptation": _adaptation,
+}  # fmt: skip
