@@ -1,13 +1,19 @@
-"""What `texts.py` does to a text: one change of a value or of the bytes."""
+"""What `texts.py` does to a text: one change of a value or of the bytes, where the text stands."""
 
 from __future__ import annotations
 
 import copy
+import io
 import json
-from collections.abc import Iterator
+import pickle
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
+import yaml
 
 Random = np.random.Generator
 DEEP, LONG = 2000, 200_000
@@ -64,8 +70,10 @@ def change_value(value: Any, random: Random) -> str:
 def change_bytes(content: bytes, random: Random) -> bytes:
     """Cut, NUL, not UTF-8, a mark of byte order, brackets, a piece twice, nothing."""
     at = int(random.integers(len(content) + 1))
-    parts = (b"\x00", b"\xff\xfe", b"\xef\xbb\xbf", b"[" * DEEP, b"{" * DEEP, b"\r", b"\t", b"&a *a",
-             b"\xed\xa0\x80", b"!!python/object/apply:os.system [x]\n", b"\x1b[31m")  # fmt: skip
+    parts = (
+        *(b"\x00", b"\xff\xfe", b"\xef\xbb\xbf", b"[" * DEEP, b"{" * DEEP, b"\r", b"\t", b"&a *a"),
+        *(b"\xed\xa0\x80", b"!!python/object/apply:os.system [x]\n", b"\x1b[31m"),
+    )
     choice = int(random.integers(4))
     if choice == 0:
         return content[:at]
@@ -74,3 +82,161 @@ def change_bytes(content: bytes, random: Random) -> bytes:
     if choice == 2:
         return b"" if random.random() < 0.3 else content[at:]
     return content[:at] + parts[int(random.integers(len(parts)))] + content[at:]
+
+
+Write = Callable[[Path, Random], None]
+
+
+def in_json(name: str = "") -> Write:
+    """A value or a byte of a JSON file; `name` below a folder."""
+
+    def change(path: Path, random: Random) -> None:
+        path = path / name if name else path
+        content = path.read_bytes()
+        if random.random() < 0.25:
+            path.write_bytes(change_bytes(content, random))
+        else:
+            path.write_text(change_value(json.loads(content), random), errors="surrogatepass")
+
+    return change
+
+
+def in_lines(path: Path, random: Random) -> None:
+    """A line of a file of JSON lines."""
+    lines = path.read_text().splitlines()
+    at = int(random.integers(len(lines)))
+    lines[at] = change_value(json.loads(lines[at]), random)
+    path.write_bytes("\n".join(lines).encode(errors="surrogatepass") + b"\n")
+
+
+def in_yaml(path: Path, random: Random) -> None:
+    content = path.read_bytes()
+    if random.random() < 0.4:
+        path.write_bytes(change_bytes(content, random))
+    else:  # JSON is YAML
+        text = change_value(yaml.safe_load(content), random)
+        path.write_bytes(text.encode(errors="surrogatepass"))
+
+
+def in_attributes(path: Path, random: Random) -> None:
+    """A text of a dataset file, under a new seal."""
+    from mpdt.data.store.seal import seal
+
+    with h5py.File(path, "r+") as file:
+        places = ["/"]
+        file.visit(places.append)
+        texts = [(place, key) for place in places for key, value in file[place].attrs.items()
+                 if isinstance(value, str)]  # fmt: skip
+        place, key = texts[int(random.integers(len(texts)))]
+        text = str(file[place].attrs[key])
+        try:
+            changed = change_value(json.loads(text), random)
+        except ValueError:
+            changed = change_value(text, random)
+            changed = changed[1:-1] if random.random() < 0.5 else changed
+        try:
+            del file[place].attrs[key]
+            file[place].attrs[key] = changed.replace("\0", "\\0")[:60_000]
+            seal(file)
+        except Exception:  # noqa: BLE001  what cannot be written needs no reading
+            pass
+
+
+def in_texts(path: Path, random: Random) -> None:
+    """One text of a table in a dataset file, under a new seal."""
+    from mpdt.data.store.seal import seal
+
+    with h5py.File(path, "r+") as file:
+        found: list[str] = []
+        file.visititems(
+            lambda name, item: (
+                found.append(name)
+                if isinstance(item, h5py.Dataset) and item.dtype.kind == "O" and item.size
+                else None
+            )
+        )
+        array = file[found[int(random.integers(len(found)))]]
+        values = array.asstr()[()].reshape(-1)
+        at = int(random.integers(len(values)))
+        try:
+            changed = change_value(json.loads(values[at]), random)
+        except ValueError:
+            changed = change_value(values[at], random)[1:-1]
+        try:
+            values[at] = changed.replace("\0", "\\0")
+            array[...] = values.reshape(array.shape)
+            seal(file)
+        except Exception:  # noqa: BLE001
+            pass
+
+
+def in_header(path: Path, random: Random) -> None:
+    """The JSON header of a safetensors file, or the one of ours inside it."""
+    content = path.read_bytes()
+    size = int.from_bytes(content[:8], "little")
+    header, rest = json.loads(content[8 : 8 + size]), content[8 + size :]
+    choice = random.random()
+    if choice < 0.2:
+        path.write_bytes(change_bytes(content[: 8 + size], random) + rest)
+        return
+    if choice < 0.6:
+        digest, _, said = header["__metadata__"]["mpdt"].partition("\n")
+        said = change_value(json.loads(said), random)
+        header["__metadata__"]["mpdt"] = f"{digest}\n{said}"
+        text = json.dumps(header)
+    else:
+        text = change_value(header, random)
+    new = text.encode(errors="surrogatepass")
+    path.write_bytes(len(new).to_bytes(8, "little") + new + rest)
+
+
+def in_npz(path: Path, random: Random) -> None:
+    """The manifest of a lossless npz export."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    name = next(name for name in members if name.startswith("mpdt"))
+    array = np.load(io.BytesIO(members[name]), allow_pickle=False)
+    raw = array.tobytes() if array.dtype.kind in "uS" else str(array).encode()
+    try:
+        new = change_value(json.loads(raw), random).encode(errors="surrogatepass")
+    except ValueError:
+        new = change_bytes(raw, random)
+    buffer = io.BytesIO()
+    value = np.frombuffer(new, np.uint8) if array.dtype.kind == "u" else np.array(new)
+    np.save(buffer, value.astype(array.dtype) if array.dtype.kind == "u" else value)
+    members[name] = buffer.getvalue()
+    with zipfile.ZipFile(path, "w") as archive:
+        for key, content in members.items():
+            archive.writestr(key, content)
+
+
+def in_pickle(path: Path, random: Random) -> None:
+    """An episode with another type, shape or key somewhere; still a well-formed pickle."""
+    episodes = pickle.loads(path.read_bytes())  # ours, made above
+    odd = [None, 1, 1e400, "x", b"x", [], {}, (), True, np.float32(1), np.zeros(()), 10**400,
+           np.zeros((0, 3)), np.full((5, 20), np.nan), np.zeros((5, 20), "U3"), [[1], [2]],
+           np.zeros((5, 20), np.complex64), np.zeros(5, "M8[s]"), float("nan")]  # fmt: skip
+    value = odd[int(random.integers(len(odd)))]
+    keys = list(episodes[0])
+    key = keys[int(random.integers(len(keys)))]
+    choice = int(random.integers(6))
+    if choice == 0:
+        episodes = value
+    elif choice == 1:
+        episodes[1] = value
+    elif choice == 2:
+        del episodes[0][key]
+    elif choice == 3:
+        episodes[0][value if isinstance(value, str | int | None) else "more"] = value
+    else:
+        episodes[int(random.integers(2))][key] = value
+    path.write_bytes(pickle.dumps(episodes, protocol=int(random.integers(2, 6))))
+
+
+def in_metadata(path: Path, random: Random) -> None:
+    in_json(_one(path, "metadata.json", random))(path, random)
+
+
+def _one(folder: Path, name: str, random: Random) -> str:
+    found = sorted(path.relative_to(folder).as_posix() for path in folder.rglob(name))
+    return found[int(random.integers(len(found)))]

@@ -8,7 +8,25 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mpdt.errors import StorageError
+import msgspec
+
+from mpdt.errors import FormatError, StorageError
+
+
+class Line(msgspec.Struct, frozen=True):
+    """What is looked at of a line; other keys may stand there too."""
+
+    phase: str = ""
+    step: int = 0
+    action_loss: float = 0.0
+    start: str = ""
+    losses: list[float] = []
+    task: str = ""
+    weights: dict[str, float] | list[Any] = []
+
+
+# What a line of these phases has to have.
+_NEEDED = {"adapt": ("step", "start", "losses"), "infer": ("task", "weights")}
 
 
 class MetricsLog:
@@ -37,6 +55,31 @@ class MetricsLog:
             os.truncate(self.path, size_bytes)
 
     def records(self) -> list[dict[str, Any]]:
+        """All lines; a last one that a kill cut off is left out.
+
+        Raises: FormatError with the number of a line that is none of ours; StorageError.
+        """
         if not self.path.exists():
             return []
-        return [json.loads(line) for line in self.path.read_text(encoding="utf-8").splitlines()]
+        try:
+            lines = self.path.read_bytes().splitlines(keepends=True)
+        except OSError as error:
+            raise StorageError("cannot read", where=str(self.path), found=str(error)) from error
+        if lines and not lines[-1].endswith(b"\n"):
+            del lines[-1]
+        return [self._record(line, number) for number, line in enumerate(lines, 1)]
+
+    def _record(self, line: bytes, number: int) -> dict[str, Any]:
+        try:
+            record = msgspec.json.decode(line, type=dict[str, Any])
+            known = msgspec.convert(record, Line)
+            needed = ("phase", "step") if "action_loss" in record else _NEEDED.get(known.phase, ())
+            missing = [key for key in needed if key not in record]
+            if missing:
+                raise ValueError(f"no `{missing[0]}` in a line of phase `{known.phase}`")
+        except (ValueError, RecursionError) as error:
+            raise FormatError("not a line of metrics", where=f"{self.path}, line {number}",
+                              found=str(error) or type(error).__name__,
+                              hint="remove the line, or train again with --restart"
+                              ) from error  # fmt: skip
+        return record

@@ -22,6 +22,7 @@ from mpdt.draw.table import Table
 from mpdt.errors import MpdtError
 from mpdt.train.evaluate.score import MEAN, Block, Score
 from mpdt.train.evaluate.tables import BLOCKS, build_tables
+from mpdt.train.fit.log import MetricsLog
 from mpdt.train.report.charts import (
     Curves,
     adaptation_chart,
@@ -91,7 +92,7 @@ def run_content(results: Mapping[str, Any], folder: Path) -> Content:
         if own:
             pair = (next(tables), next(tables))
             parts.append(_part(own, pair))
-    log = _log(folder)
+    log = MetricsLog(folder / "metrics.jsonl").records()
     maps, warnings = _maps(folder / "weights.safetensors")
     return Content(
         title=str(results.get("name", folder.name)), facts=list(_facts(results)), parts=parts,
@@ -148,18 +149,6 @@ def _facts(results: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "trained numbers", f"{results['num_trainables']:,}"
     for phase, updates in results.get("updates", {}).items():
         yield f"{phase} updates", f"{updates:,}"
-
-
-def _log(folder: Path) -> list[dict[str, Any]]:
-    """Lines of metrics.jsonl; a last one that was cut off is left out."""
-    path, records = folder / "metrics.jsonl", []
-    if path.exists():
-        for text in path.read_text(encoding="utf-8").splitlines():
-            try:
-                records.append(json.loads(text))
-            except ValueError:
-                continue
-    return records
 
 
 def _run_curves(log: Sequence[Mapping[str, Any]]) -> list[Curves]:

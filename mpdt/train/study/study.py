@@ -133,7 +133,7 @@ def _run_cell(
         "cell": cell.name,
         "config_hash": config_hash(config),
         "curve": _curve(log),
-        "inferred": {r["task"]: r["weights"] for r in log if r["phase"] == "infer"},
+        "inferred": {r["task"]: r["weights"] for r in log if r.get("phase") == "infer"},
     }
     with disk(places.results):
         places.results.mkdir(parents=True, exist_ok=True)
@@ -164,7 +164,7 @@ def _curve(log: Sequence[Mapping[str, Any]]) -> dict[str, list[list[float]]]:
     for record in log:
         if "action_loss" in record:
             phase, loss = record["phase"], record["action_loss"]
-        elif record["phase"] == "adapt":
+        elif record.get("phase") == "adapt":
             phase, loss = f"adapt {record['start']}", float(np.mean(record["losses"]))
         else:
             continue
