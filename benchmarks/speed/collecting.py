@@ -148,14 +148,16 @@ def peer_ways(entry: str, actions: np.ndarray) -> list[rounds.Way]:
              rounds.Way(f"AsyncVectorEnv, {rounds.cores()} envs", "peer", vector(),
                         PEER_STEPS)]  # fmt: skip
     if rounds.have("jax"):
-        with rounds.hushed():
+        with rounds.without_output():
             found.append(rounds.Way("Minari DataCollector", "peer", collector(), PEER_STEPS))
     return found
 
 
 def measure(report: rounds.Report) -> None:
     for title, entry, kind, name, least in CASES:
-        with rounds.crew(partial(ways, entry=entry, kind=kind, name=name), rounds.cores()) as team:
+        with rounds.worker_processes(
+            partial(ways, entry=entry, kind=kind, name=name), rounds.cores()
+        ) as team:
             ways_of = [
                 rounds.Way("mpdt", "ours", lambda: sum(team("ours")()), 0),
                 rounds.Way("mujoco.rollout, open loop", "limit", lambda: sum(team("limit")()), 0),

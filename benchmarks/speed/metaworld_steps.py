@@ -126,7 +126,7 @@ def collector(name: str) -> Callable[[], float]:
 def measure(report: rounds.Report) -> None:
     size, repeats = rounds.cores(), min(3, report.rounds)
     seconds: dict[str, dict[str, list[float]]] = {}
-    with rounds.crew(partial(ways, size=size), size) as team:
+    with rounds.worker_processes(partial(ways, size=size), size) as team:
 
         def way(name: str) -> Callable[[], float]:
             def run() -> float:

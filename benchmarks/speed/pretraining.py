@@ -95,7 +95,7 @@ def measure(report: rounds.Report) -> None:
         return VecNormalize(env, norm_obs=True, norm_reward=True)
 
     for title, epochs in (("simulate", 0), ("update", 6)):
-        with rounds.hushed():
+        with rounds.without_output():
             own = normalised(LocomotionVecEnv(family, ROWS, 0, rounds.cores()))
             dummy = normalised(DummyVecEnv([make_env] * FEW))
             processes = normalised(SubprocVecEnv([make_env] * FEW, start_method="spawn"))

@@ -170,8 +170,8 @@ def scratch() -> Path:
 
 
 @contextmanager
-def hushed() -> Iterator[None]:
-    """Without what other packages say while they are set up."""
+def without_output() -> Iterator[None]:
+    """Drop what other packages print and warn while they are set up."""
     nowhere = io.StringIO()
     with warnings.catch_warnings(), redirect_stdout(nowhere), redirect_stderr(nowhere):
         warnings.simplefilter("ignore")
@@ -189,7 +189,9 @@ def have(package: str) -> bool:
 
 
 @contextmanager
-def crew(factory: Callable[[int], dict[str, Callable[[], Any]]], size: int) -> Iterator[Any]:
+def worker_processes(
+    factory: Callable[[int], dict[str, Callable[[], Any]]], size: int
+) -> Iterator[Any]:
     """`size` processes, each with the ways `factory(number)` made in it.
 
     Yields `together(name)`: a function that runs that way in all of them at once, waits for the

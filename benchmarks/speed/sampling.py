@@ -232,7 +232,7 @@ def d3rlpy_slices(dataset: Any) -> Callable[[], float]:
 def peers(work: Path, dataset: Any) -> list[rounds.Way]:
     """Those that are installed."""
     found = []
-    with rounds.hushed():
+    with rounds.without_output():
         if rounds.have("minari"):
             run = minari_sample(work, dataset, 20)
             found.append(rounds.Way("minari sample_episodes", "peer", run, 0))

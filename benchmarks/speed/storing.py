@@ -92,7 +92,7 @@ def minari_buffers(work: Path, episodes: list[Any]) -> Callable[[], None]:
     actions = spaces.Box(-np.inf, np.inf, (size,), np.float32)
 
     def run() -> None:
-        with rounds.hushed():
+        with rounds.without_output():
             again()
 
     def again() -> None:

@@ -70,23 +70,23 @@ class RayCluster:
         self, job: Job, folder: PartsFolder, blocks: Sequence[Block]
     ) -> Generator[BlockReport, None, None]:
         """Raises: SimulatorError for a node whose versions or CPU give other bytes."""
-        courier = Courier(job, folder if self.shared_folder else None)
+        worker = NodeWorker(job, folder if self.shared_folder else None)
         here = decisive_versions()
-        for delivery in map_blocks_ray(courier, blocks, self.address):
-            if delivery.versions != here:
-                name = next(key for key in here if delivery.versions.get(key) != here[key])
+        for finished in map_blocks_ray(worker, blocks, self.address):
+            if finished.versions != here:
+                name = next(key for key in here if finished.versions.get(key) != here[key])
                 raise SimulatorError(
                     "a node of the cluster would make other bytes",
                     where=name,
                     expected=here[name],
-                    found=delivery.versions.get(name, "nothing"),
+                    found=finished.versions.get(name, "nothing"),
                     hint="use nodes of one CPU type with the same packages",
                 )
-            if delivery.content is not None:
-                path = folder.part(delivery.report.block).path
+            if finished.content is not None:
+                path = folder.part(finished.report.block).path
                 with replacing(path) as temporary, disk(path):
-                    temporary.write_bytes(delivery.content)
-            yield delivery.report
+                    temporary.write_bytes(finished.content)
+            yield finished.report
 
 
 def decisive_versions() -> dict[str, str]:
@@ -97,8 +97,8 @@ def decisive_versions() -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Delivery:
-    """A finished block on its way home; `content` are the bytes of its part."""
+class FinishedBlock:
+    """A finished block as a node sends it back; `content` are the bytes of its part, or None."""
 
     report: BlockReport
     versions: dict[str, str]
@@ -106,14 +106,14 @@ class Delivery:
 
 
 @dataclass(eq=False)
-class Courier:
+class NodeWorker:
     """What runs on a node: simulate a block and hand over its part."""
 
     job: Job
     folder: PartsFolder | None
     _runner: BlockRunner | None = field(default=None, repr=False)
 
-    def __call__(self, block: Block) -> Delivery:
+    def __call__(self, block: Block) -> FinishedBlock:
         if self._runner is None:
             self._runner = BlockRunner(self.job, self.folder or self._own_folder())
         report = self._runner(block)
@@ -122,7 +122,7 @@ class Courier:
         if self.folder is None:
             content = part.read_bytes()
             part.unlink()
-        return Delivery(report, decisive_versions(), content)
+        return FinishedBlock(report, decisive_versions(), content)
 
     def _own_folder(self) -> PartsFolder:
         place = tempfile.mkdtemp(prefix="mpdt-")

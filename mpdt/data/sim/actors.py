@@ -149,7 +149,7 @@ class ZeroPolicy:
         self.info = PolicyInfo(
             hash=definition_hash(definition),
             task=task,
-            rung=-1,  # on no ladder
+            rung=-1,  # it is no rung of a ladder
             level=0.0,
             train_step=-1,
             mix_rate=0.0,
@@ -178,7 +178,7 @@ class ConstantPolicy:
         self.info = PolicyInfo(
             hash=definition_hash(definition),
             task=task,
-            rung=-1,  # on no ladder
+            rung=-1,  # it is no rung of a ladder
             level=-1.0,
             train_step=-1,
             mix_rate=0.0,

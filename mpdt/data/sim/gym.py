@@ -76,7 +76,7 @@ class MetaworldTask(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
             )
         self._env = MetaworldEnv(task)
         self._horizon, self._goal_hidden = horizon, goal_hidden
-        self._num_steps = horizon  # no step before the first reset
+        self._num_steps = horizon  # the env refuses a step before the first reset
         with quiet():
             self.observation_space = spaces.Box(-np.inf, np.inf, (OBSERVATION_SIZE,), np.float64)
             self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
@@ -88,7 +88,7 @@ class MetaworldTask(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         if options and "goal" in options:
             goal = np.asarray(options["goal"], dtype=np.float64)
         else:
-            # gymnasium's int64-sized word, as SeedKey.env_seed gives it
+            # The seed must fit an int64, as those of SeedKey.env_seed do.
             goal = self._env.draw(int(self.np_random.integers(2**63)) if seed is None else seed)
         observation = self._shown(self._env.reset(goal))
         self._num_steps = 0

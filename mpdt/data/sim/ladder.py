@@ -8,6 +8,8 @@
 
 A network ladder is one training run (network.py). Meta-World has none: a rung there is the
 script with `mix_rate` of its actions replaced by uniform ones, from rate 1 down to rate 0.
+
+Used by collect/job.py and portions.py.
 """
 
 from __future__ import annotations

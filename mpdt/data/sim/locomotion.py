@@ -2,6 +2,8 @@
 
 Bit-identical to one `LocomotionEnv` per row (`locomotion_env.py`): the warm start is off,
 the reset noise comes from the generator that gymnasium would seed, and rewards are float64.
+
+Used by simulators.py, rungs.py, vecenv.py and vector.py.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Task, get_family
 from mpdt.data.workers.processes import map_blocks
 
-FIRST = 20  # episodes before anything is decided
+FIRST = 20  # episodes before the first decision
 CAP = 1280
 PRECISION = 0.02  # of the span
 KINDS = ("random", "expert", "zero", "constant")
@@ -112,7 +112,7 @@ class Campaign:
         score, kind = self.score(task, policy, horizon), kind_of(policy)
         if kind in self.kinds:
             return episodes_wanted(score, self.span(task, horizon), self.cap)
-        # Nobody can tell what is enough of the others without a rough span.
+        # The others need a rough span: it decides how many episodes are enough.
         return FIRST if kind in ("random", "expert") else 0
 
     def portions(self) -> list[Portion]:
@@ -223,7 +223,7 @@ def measure(
                             f"round {number}  {count}/{len(portions)} portions  {left}  "
                             f"{portion.task.name} {portion.policy[:12]}"
                         )
-            finally:  # an interrupt keeps what has been played
+            finally:  # an interrupt must not lose what has been played
                 save_entries(target, (book | campaign.entries).values(), RULE)
     return campaign
 

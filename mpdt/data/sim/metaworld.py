@@ -9,6 +9,8 @@ with the reset vector frozen an episode is a function of (vector, actions) and n
     step    `env.step(action)` with the float32 action as it is stored
 
 An env takes 0.11-0.17 s and about 21 MiB; envs are built at their row's first use and kept.
+
+Used by simulators.py, gym.py, scripts.py and scripted.py.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ def find_class(task_name: str, kind: str) -> type[Any]:
     Raises: UsageError for an unknown task, SimulatorError if metaworld does not import.
     """
     try:
-        # Lazy: a second of import that only those who simulate should pay.
+        # Imported here: it takes a second, which commands that simulate nothing save.
         with quiet():
             if kind == "env":
                 from metaworld.env_dict import ENV_CLS_MAP as CLASSES
@@ -131,7 +133,7 @@ class MetaworldEnv:
         finally:
             del env._reset_hand
             env._freeze_rand_vec, env.seeded_rand_vec = True, False
-        self._num_steps = MAX_STEPS  # half a reset: no step before a whole one
+        self._num_steps = MAX_STEPS  # drawing resets half of the env: refuse steps until `reset`
         return np.array(env._last_rand_vec, dtype=np.float64)
 
     def reset(self, goal: FloatArray) -> FloatArray:
@@ -161,7 +163,7 @@ class MetaworldEnv:
                 )
             return vector
 
-        # Meta-World's own frozen mode would ask for a refused vector for ever.
+        # Meta-World's own frozen mode would ask for a refused vector without end.
         self._env._get_state_rand_vec = frozen
         try:
             with quiet():

@@ -6,6 +6,8 @@
 
 What is stored is what acted: the action is cast to float32 and clipped first, and exactly
 those numbers go to the simulator, so that a replay of the file repeats the episode.
+
+Used by collect/runner.py, portions.py and probe.py.
 """
 
 from __future__ import annotations
@@ -174,7 +176,7 @@ def _episode(
     progress: float,
 ) -> Episode:
     length = int(record.lengths[row])
-    # Copies: a view would keep the whole block alive as long as one of its episodes.
+    # A view would keep the whole block in memory as long as one of its episodes: copy.
     observations = record.observations[row, : length + 1].copy()
     actions = record.actions[row, :length].copy()
     rewards = record.rewards[row, :length].copy()

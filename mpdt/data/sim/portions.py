@@ -27,7 +27,7 @@ from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts
 from mpdt.data.spec.tasks import Task, get_family
 from mpdt.seeding import Quality, SeedKey
 
-ROWS = 40  # of a portion at most; also the width at which a network is evaluated
+ROWS = 40  # most rows of a portion; a network is evaluated at this width
 QUALITIES = {
     "zero": Quality.REFERENCE_ZERO,
     "random": Quality.REFERENCE_RANDOM,
@@ -77,8 +77,8 @@ class Player:
     def __init__(self, spec: DatasetSpec, seed: int) -> None:
         self.spec, self.seed = spec, seed
         family = get_family(spec.family)
-        self._one_by_one = family.simulator == "metaworld"  # as in a collection
-        # mt50 holds every task, so what is measured does not depend on the family that asked.
+        self._one_by_one = family.simulator == "metaworld"  # a collection plays it so too
+        # mt50 holds every task, so the numbers do not depend on which family asks for them.
         self._family = get_family("mt50") if self._one_by_one else family
         self._ladder: Ladder | None = None
         self._env: tuple[tuple[int, int], BatchEnv] | None = None

@@ -54,7 +54,7 @@ class PretrainSettings:
 SETTINGS: dict[str, PretrainSettings] = {
     "cheetah_dir": PretrainSettings(steps=12_000_000),
     "cheetah_vel": PretrainSettings(steps=16_000_000, judge_episodes=4, judge_noise=0.05),
-    # Half the squared action is charged, so wide exploration drowns the gain of walking.
+    # The reward charges half the squared action, so wide exploration costs more than walking gains.
     "ant_dir": PretrainSettings(
         steps=6_000_000, log_std_init=-1.0, judge_episodes=2, judge_noise=0.05
     ),
@@ -167,7 +167,7 @@ def _train(
             hint="pip install 'mpdt[behaviour]'",
         ) from error
 
-    torch.set_num_threads(1)  # small matrix products collapse on more, most of all when busy
+    torch.set_num_threads(1)  # small matrix products get slower on more threads
     checkpoint, curve_path = work / "checkpoint.zip", work / "curve.json"
     resumes = checkpoint.is_file() and curve_path.is_file()
     curve: Curve = json.loads(curve_path.read_text()) if resumes else []

@@ -34,7 +34,7 @@ class Probe:
     """Plays episodes of one task and keeps their rewards, so that nothing is played twice."""
 
     def __init__(self, task_name: str, seed: int) -> None:
-        # mt50 holds every task, so a calibration does not depend on the family that asked.
+        # mt50 holds every task, so a calibration does not depend on which family asks for it.
         self._family = get_family("mt50")
         self.task = self._family.task(task_name)
         self.seed = seed
@@ -82,7 +82,7 @@ class Gauge:
         self.low, self.span = 0.0, 1.0
         self._ends: dict[float, int] = {}  # episodes behind levels 0 and 1
         self._rescale(portion, portion)
-        if self.span > 0:  # enough episodes need a span, and the span needs enough episodes
+        if self.span > 0:  # the span decides how many episodes are enough
             self._rescale(self._enough(1.0), self._enough(0.0))
 
     def measure(self, rate: float, num_episodes: int | None = None) -> Measurement:

@@ -6,6 +6,8 @@ same float64 numbers. B = rows.
 
 Task code: MACAW (Mitchell et al. 2021), reused by mxu34/prompt-dt
 `envs/mujoco-control-envs/mujoco_control_envs/tp_envs`.
+
+Used by locomotion.py, locomotion_env.py, network.py, rungs.py and vecenv.py.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-_DOUBT = 1e-13  # scipy mends from 1e-12 on
+_DOUBT = 1e-13  # scipy corrects matrices from 1e-12 on
 
 
 class QuickRotation:
@@ -54,7 +54,7 @@ def _quaternion(m: list[list[float]]) -> Any:
     (a, b, c), (d, e, f), (g, h, i) = m
     trace = a + e + i
     largest = max(a, e, i, trace)
-    # The first of equals, as argmax does.
+    # Of equal values the first is taken, as argmax does.
     if a == largest:
         q = (1 - trace + 2 * a, d + b, g + c, h - f)
     elif e == largest:

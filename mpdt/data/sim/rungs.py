@@ -67,7 +67,7 @@ def describe_rungs(
     best = 1 + int(returns[1:].mean(axis=1).argmax())  # the untrained one is never final
     returns = returns[: best + 1]
     returns[best] = returns_of(paths[best], CAREFUL * episodes)
-    # A few episodes find the snapshots near one half; which is nearest needs more.
+    # A few episodes find the snapshots near one half; more decide which is nearest.
     levels = ((returns - random) / (returns[-1] - random)).mean(axis=1)
     for i in np.flatnonzero(np.abs(levels - 0.5) <= NEAR):
         returns[i] = returns_of(paths[i], CAREFUL * episodes)
@@ -113,7 +113,7 @@ def judge(
     def choose(
         step: int, seen: FloatArray, rewards: FloatArray | None, running: BoolArray
     ) -> NDArray[np.float32]:
-        # One generator for all rows: noise differs from row to row, which is all it is for.
+        # All rows share one generator: a judged return is no stored episode.
         if weights is None:
             actions = generator.uniform(family.action_low, family.action_high, shape)
         else:
@@ -163,4 +163,4 @@ def _widest_gap(mean: NDArray[np.float64], chosen: set[int]) -> int:
         inside = [i for i in free if low < mean[i] < high]
         if inside:
             return min(inside, key=lambda i: abs(mean[i] - (low + high) / 2))
-    return free[-1]  # nothing between: levels equal to those chosen, the latest is as good
+    return free[-1]  # all free levels equal chosen ones, so the latest is as good as any

@@ -100,7 +100,7 @@ class QuickSawyer:
         apart = self._claws[0] - self._claws[1]
         seen[3] = min(max(math.sqrt(apart.dot(apart)) / 0.1, 0.0), 1.0)
         places, turns = self._get_pos_objects(), self._get_quat_objects()
-        # A quaternion is written where there is one: tasks may name fewer of them than objects.
+        # Tasks may name fewer quaternions than objects: write those that there are.
         for thing in range(min(len(places) // 3, len(turns) // 4)):
             at = 4 + 7 * thing
             seen[at : at + 3] = places[3 * thing : 3 * thing + 3]
@@ -196,7 +196,7 @@ class QuickSawyer:
 
 
 def _length(vector: FloatArray) -> float:
-    # As `np.linalg.norm` of one axis: BLAS rounds a dot product its own way.
+    # `np.linalg.norm` of one axis sums like this; a dot product of BLAS rounds differently.
     return math.sqrt(vector.dot(vector))
 
 

@@ -62,12 +62,12 @@ class ScriptedPolicy:
         self._uniform: FloatArray | None = None
         definition: dict[str, object] = {
             "kind": "script",
-            # Which rows stand side by side is no part of how one of them acts.
+            # Rows act independently, so their order is no part of the definition.
             "tasks": sorted(set(task_names)),
             "metaworld": metadata.version("metaworld"),
             "mix_rate": float(mix_rate),
         }
-        if corrections := corrections_of(task_names):  # no such key for Meta-World's own script
+        if corrections := corrections_of(task_names):  # Meta-World's own script keeps its old hash
             definition["corrections"] = corrections
         self.info = PolicyInfo(
             hash=definition_hash(definition),

@@ -1,4 +1,7 @@
-"""Which simulator a family needs: the one place that knows all of them."""
+"""Which simulator a family needs: the one place that knows all of them.
+
+Used by collect/, portions.py, probe.py, verify/replay.py, card/film.py and mpdt/train/evaluate.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ def make_batch(
     if not tasks:
         raise SpecError("a batch needs at least one task", where=family.name)
     options = dict(env or {})
-    # Lazy: each simulator costs its import only where it is used.
+    # Imported here: a command pays only for the simulator it uses.
     if family.simulator == "metaworld":
         from mpdt.data.sim.metaworld import MetaworldBatch
 

@@ -114,7 +114,7 @@ class LocomotionVector(VectorEnv[Floats, NDArray[np.float32], NDArray[Any]]):
 
     def _start(self, row: int) -> None:
         generator = self._generators[row]
-        if generator is None:  # never seeded: as gymnasium's own environments, from the system
+        if generator is None:  # nobody seeded it: the system does, as for gymnasium's own
             generator = self._generators[row] = generator_of(None)
         self._batch.start_row(row, generator, self._goals[row])
         self._elapsed[row], self._over[row] = 0, False

@@ -1,4 +1,6 @@
-"""Engines: run a function over blocks in spawned processes; the order never matters.
+"""Worker processes: run a function over blocks in spawned processes; the order never matters.
+
+Used by `collect`, `calibrate` and `reference` on one machine; ray.py does the same on many.
 
     parent  --index-->  worker     one pipe per worker: a damaged worker cannot block a queue
     parent  <-result--  worker     the next index goes to whoever answered
@@ -69,67 +71,67 @@ def map_blocks(
     if workers == 0:
         yield from map(function, items)
         return
-    staff = _Staff(function, min(workers, len(items)))
+    running = _WorkerProcesses(function, min(workers, len(items)))
     try:
         waiting = iter(items)
-        for pipe in list(staff.members):
-            staff.give(pipe, waiting)
+        for pipe in list(running.processes):
+            running.send_next(pipe, waiting)
         for _ in range(len(items)):
-            pipe, result = staff.next_answer()
-            staff.give(pipe, waiting)
+            pipe, result = running.next_answer()
+            running.send_next(pipe, waiting)
             yield result
     finally:
-        staff.dismiss()
+        running.terminate()
 
 
-class _Staff:
+class _WorkerProcesses:
     """The processes of one `map_blocks` call, by the pipe that leads to each."""
 
     def __init__(self, function: Callable[[Any], Any], size: int) -> None:
         context = multiprocessing.get_context("spawn")
-        self.members: dict[Connection, SpawnProcess] = {}
+        self.processes: dict[Connection, SpawnProcess] = {}
         with _worker_environment(), _interrupts_held_back():
             for _ in range(size):
                 ours, theirs = context.Pipe()
                 process = context.Process(target=_work, args=(theirs, function), daemon=True)
                 process.start()
                 theirs.close()
-                self.members[ours] = process
+                self.processes[ours] = process
 
-    def give(self, pipe: Connection, waiting: Iterator[Any]) -> None:
-        """Hand out the next item; with nothing left the worker may go home."""
+    def send_next(self, pipe: Connection, waiting: Iterator[Any]) -> None:
+        """Send the next item to a worker; with nothing left an empty task ends it."""
         task = tuple(islice(waiting, 1))
         try:
             pipe.send(task)
         except (BrokenPipeError, ConnectionResetError):
-            # It died between two blocks; with nothing left to do nobody needs to know.
+            # The worker died between two blocks; that loses nothing when no item is left.
             if task:
-                raise self._obituary(pipe) from None
+                raise self._death_of(pipe) from None
 
     def next_answer(self) -> tuple[Connection, Any]:
         while True:
-            pipe = next(pipe for pipe in wait(list(self.members)) if isinstance(pipe, Connection))
+            pipe = next(pipe for pipe in wait(list(self.processes)) if isinstance(pipe, Connection))
             try:
                 error, text, result = pipe.recv()
             except (EOFError, ConnectionResetError):
-                if self._went_home(pipe):
+                if self._ended_normally(pipe):
                     continue
-                raise self._obituary(pipe) from None
+                raise self._death_of(pipe) from None
             if error is not None:
                 raise error from RuntimeError(f"in a worker process:\n{text}")
             return pipe, result
 
-    def _went_home(self, pipe: Connection) -> bool:
-        """True, and the worker is forgotten, if it ended in peace."""
-        self.members[pipe].join(timeout=5)
-        if self.members[pipe].exitcode != 0:
+    def _ended_normally(self, pipe: Connection) -> bool:
+        """True, and the worker is removed, if its exit code is 0."""
+        self.processes[pipe].join(timeout=5)
+        if self.processes[pipe].exitcode != 0:
             return False
-        del self.members[pipe]
+        del self.processes[pipe]
         pipe.close()
         return True
 
-    def _obituary(self, pipe: Connection) -> MpdtError:
-        process = self.members[pipe]
+    def _death_of(self, pipe: Connection) -> MpdtError:
+        process = self.processes[pipe]
         process.join(timeout=5)
         return MpdtError(
             "a worker process died",
@@ -139,16 +141,16 @@ class _Staff:
             "finished blocks are kept",
         )
 
-    def dismiss(self) -> None:
-        for process in self.members.values():
+    def terminate(self) -> None:
+        for process in self.processes.values():
             process.terminate()
-        for pipe, process in self.members.items():
+        for pipe, process in self.processes.items():
             process.join()
             pipe.close()
 
 
 def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:
-    """Main of a worker: answer (error, traceback, result) until told to go home."""
+    """Main of a worker: answer (error, traceback, result) until an empty task or a closed pipe."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     while True:
@@ -196,7 +198,7 @@ def _worker_environment() -> Iterator[None]:
 @contextmanager
 def _interrupts_held_back() -> Iterator[None]:
     """A blocked signal mask is inherited, so Ctrl-C never reaches a worker."""
-    # Starting the tracker unblocks the signal, so it has to run before.
+    # Starting the resource tracker unblocks the signal, so it has to run before.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -8,7 +8,7 @@
       '  object store:  the part's bytes come back too, and the driver writes them
 
 A node that dies takes its running tasks along; Ray starts those blocks again elsewhere. They
-are pure functions of their seeds, so nobody can tell.
+are pure functions of their seeds, so the bytes are the same.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PER_CORE = 2
 """Tasks in flight per core: one runs, one waits, so that no core idles between blocks."""
 
 RETRIES = 20
-"""Of one block whose node or process was lost: enough for a bad day, not for ever."""
+"""Of one block whose node or process was lost. More losses than that end the run."""
 
 _functions: dict[str, Callable[[Any], Any]] = {}
 """In a worker process: the one function of the latest run, with what it has built so far."""
@@ -39,7 +39,7 @@ _functions: dict[str, Callable[[Any], Any]] = {}
 def map_blocks_ray(
     function: Callable[[Item], Result], items: Sequence[Item], address: str | None = None
 ) -> Generator[Result, None, None]:
-    """As `engines.map_blocks`, on a Ray cluster.
+    """As `processes.map_blocks`, on a Ray cluster.
 
     Args:
         function: picklable; each worker process keeps its own copy.
@@ -53,7 +53,7 @@ def map_blocks_ray(
     run = uuid.uuid4().hex  # names the function in the workers; nothing stored depends on it
     try:
         shared = ray.put(function)
-        # On a lost node, never on an error of the function itself.
+        # Ray repeats a task of a lost node, never one whose function raised.
         task = ray.remote(num_cpus=1, max_retries=RETRIES, retry_exceptions=False)(_work)
         cores = int(ray.cluster_resources().get("CPU", 1))
         waiting = iter(items)
@@ -84,13 +84,13 @@ def _connect(address: str | None) -> Any:
         raise SimulatorError(
             "the engine 'ray' needs Ray", hint="pip install 'mpdt[ray]'"
         ) from error
-    # Set before a worker imports numpy; see engines.py.
+    # Set before a worker imports numpy; see processes.py.
     runtime = {"env_vars": WORKER_ENVIRONMENT}
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address is None:
         options["include_dashboard"] = False
     try:
-        if address and ":" in address:  # Ray itself would go on asking for minutes
+        if address and ":" in address:  # Ray itself would try for minutes
             host, _, port = address.rpartition(":")
             socket.create_connection((host, int(port)), timeout=10).close()
         ray.init(address=address, runtime_env=runtime, **options)
@@ -109,7 +109,7 @@ def _work(run: str, shared: list[Any], item: Any) -> Any:
         import ray
 
         _functions.clear()
-        _functions[run] = ray.get(shared[0])  # in a list, or Ray would fetch it for every task
+        _functions[run] = ray.get(shared[0])  # outside a list Ray would fetch it for every task
     return _functions[run](item)
 
 
