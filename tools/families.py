@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from mpdt.data.reference import level
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 from mpdt.draw.table import markdown_table
@@ -87,13 +88,13 @@ def task_rows(data: Dataset) -> list[list[str]]:
     for row, name in enumerate(tasks.names):
         low, high = float(tasks.ref_random[row]), float(tasks.ref_expert[row])
         medium = data.select(task=row, quality="medium")
-        level = (data.episodes.returns[medium].mean() - low) / (high - low)
+        reached = level(float(data.episodes.returns[medium].mean()), low, high)
         cells = [name, roles[int(tasks.roles[row])]]
         for policy in ("zero", "random", "constant", "expert"):
             found = tasks.references[row][policy]
             known = not np.isnan(found.mean)
             cells.append(f"{found.mean:,.1f} ± {found.error:,.1f}" if known else "-")
-        cells += [*per_quality(data, row, success=False), f"{level:.2f}"]
+        cells += [*per_quality(data, row, success=False), f"{reached:.2f}"]
         if data.steps.successes is not None:
             cells.append(" / ".join(per_quality(data, row, success=True)[:3]))
         rows.append(cells)

@@ -1,4 +1,4 @@
-"""Reference: what a yardstick policy returns on one task, and how well that is known.
+"""Reference: what a policy to compare with returns on one task, and how well that is known.
 
     zero       all-zero actions                      random   uniform actions
     constant   the best task-blind constant action   expert   the last rung of the ladder
@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-YARDSTICKS = ("zero", "random", "constant", "expert")
+REFERENCE_POLICIES = ("zero", "random", "constant", "expert")
 Source = Literal["", "shipped", "local", "collected"]
 
 
@@ -79,7 +79,7 @@ def level(value: float, random: float, expert: float) -> float:
 
 @dataclass(frozen=True)
 class References:
-    """The references of one task by name of the yardstick; what is not there is unknown.
+    """The references of one task by name of the policy; what is not there is unknown.
 
     `constant_action` is the action behind `constant`, empty where none was chosen.
     """

@@ -15,7 +15,7 @@ from mpdt.data.card.facts import QUALITIES, Facts, TaskFacts, commands
 from mpdt.data.card.film import Film
 from mpdt.data.lock.file import LockEntry
 from mpdt.data.lock.fingerprint import is_as_locked
-from mpdt.data.reference import YARDSTICKS
+from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.spec.yamltext import dump_yaml
 from mpdt.data.store.dataset import Dataset
@@ -29,7 +29,7 @@ ROBOTS = {
     "heading": "A four-legged ant is to run in a given direction",
     "metaworld": "A robot arm does tasks of Meta-World",
 }
-YARDSTICK_NAMES = {
+REFERENCE_NAMES = {
     "zero": "zero action", "random": "random", "constant": "best constant", "expert": "expert",
 }  # fmt: skip
 WORST = (Outcome.FAIL, Outcome.WARN, Outcome.SKIP, Outcome.PASS)
@@ -62,8 +62,8 @@ def card_page(
         lock=state, lock_told=lock_told, report=report, summary=summary(findings),
         worst=_worst(findings),
         keys=[(quality, quality) for quality in facts.qualities],
-        yardstick_keys=[
-            (name, words) for name, words in figures.YARDSTICK_KEYS.items()
+        task_blind_keys=[
+            (name, words) for name, words in figures.TASK_BLIND.items()
             if any(task.references[name].is_known for task in facts.tasks)
         ],
         overviews=figures.overviews(facts), ladders=figures.ladders_chart(facts),
@@ -164,9 +164,9 @@ class _Row:
 
 def _task(task: TaskFacts) -> Mapping[str, Any]:
     rows = [
-        _Row(YARDSTICK_NAMES[name], found.mean, found.error, task.level(found.mean),
+        _Row(REFERENCE_NAMES[name], found.mean, found.error, task.level(found.mean),
              found.success, found.episodes, is_reference=True)
-        for name in YARDSTICKS
+        for name in REFERENCE_POLICIES
         for found in [task.references[name]]
     ]  # fmt: skip
     rows += [

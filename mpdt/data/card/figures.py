@@ -28,11 +28,11 @@ ROWS = 25  # tasks in one overview chart
 ACTION_EPISODES = 100  # of each quality; spread evenly, so that a card takes seconds
 PROGRESS = "progress of who acted: 0 untrained, 1 final"
 LEVELS = (-1.0, 2.0)  # normalised returns beyond stand at the edge
-YARDSTICK_KEYS = {"zero": "zero action", "constant": "best constant action"}
+TASK_BLIND = {"zero": "zero action", "constant": "best constant action"}
 
 
 def overviews(facts: Facts) -> list[Chart]:
-    """Normalised return of every task: stored qualities and task-blind yardsticks."""
+    """Normalised return of every task: stored qualities and task-blind policies."""
     rows = [(task.name, _levels(task)) for task in facts.tasks]
     axis = axis_over(
         [0.0, 1.0, *(d.value for _, dots in rows for d in dots)], "0 = random, 1 = expert"
@@ -50,9 +50,9 @@ def overviews(facts: Facts) -> list[Chart]:
 
 
 def _levels(task: TaskFacts) -> list[Dot]:
-    """Yardsticks last: rings around the dots they lie on."""
+    """Task-blind policies last: rings around the dots they lie on."""
     found = [(quality, quality, group.mean) for quality, group in task.groups.items()]
-    found += [(name, words, task.references[name].mean) for name, words in YARDSTICK_KEYS.items()]
+    found += [(name, words, task.references[name].mean) for name, words in TASK_BLIND.items()]
     return [
         Dot(key, task.level(mean), told=f"{task.name}, {words}: {task.level(mean):.2f}")
         for key, words, mean in found
@@ -60,14 +60,14 @@ def _levels(task: TaskFacts) -> list[Dot]:
 
 
 def returns_chart(task: TaskFacts) -> Chart:
-    """Share of the episodes of each quality over their return; yardsticks as lines across."""
-    yardsticks = {name: task.references[name].mean for name in YARDSTICK_KEYS}
+    """Share of the episodes of each quality over their return; task-blind policies as lines."""
+    lines = {name: task.references[name].mean for name in TASK_BLIND}
     values = [group.returns for group in task.groups.values()]
-    axis = axis_over([*np.concatenate(values).tolist(), *yardsticks.values()], "return")
+    axis = axis_over([*np.concatenate(values).tolist(), *lines.values()], "return")
     marks = _histograms({q: g.returns for q, g in task.groups.items()}, axis)
     marks += [
-        rule(name, value, f"{YARDSTICK_KEYS[name]}: {value:,.1f}")
-        for name, value in yardsticks.items() if math.isfinite(value)
+        rule(name, value, f"{TASK_BLIND[name]}: {value:,.1f}")
+        for name, value in lines.items() if math.isfinite(value)
     ]  # fmt: skip
     return _shares(f"{task.name}: returns", axis, marks)
 

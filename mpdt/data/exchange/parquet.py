@@ -31,7 +31,7 @@ from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.manifest import KEY, Manifest, single_file
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.exchange.treatment import Rules
-from mpdt.data.reference import YARDSTICKS
+from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.data.store.layout import EPISODES, GOALS, STEPS
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.errors import FormatError, MpdtError, ShapeError
@@ -126,11 +126,11 @@ def _tasks_table(header: FileHeader) -> Any:
         "role": [task.role for task in header.tasks],
         "env": [json.dumps(task.env, sort_keys=True) for task in header.tasks],
     }
-    for yardstick in YARDSTICKS:
-        references = [task.references[yardstick] for task in header.tasks]
-        columns[f"ref_{yardstick}"] = [reference.mean for reference in references]
-        columns[f"ref_{yardstick}_error"] = [reference.error for reference in references]
-        columns[f"ref_{yardstick}_episodes"] = [reference.episodes for reference in references]
+    for policy in REFERENCE_POLICIES:
+        references = [task.references[policy] for task in header.tasks]
+        columns[f"ref_{policy}"] = [reference.mean for reference in references]
+        columns[f"ref_{policy}_error"] = [reference.error for reference in references]
+        columns[f"ref_{policy}_episodes"] = [reference.episodes for reference in references]
     return pa.table(columns)
 
 

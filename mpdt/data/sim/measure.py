@@ -1,4 +1,4 @@
-"""Measure: play every yardstick until its mean return is known, and keep what was found.
+"""Measure: play every reference policy until its mean return is known, and keep what was found.
 
     episodes   20 -> 40 -> 80 .. 1280     doubled until the standard error of the mean is under
                                           2 % of the span, expert - random
@@ -179,7 +179,7 @@ def measure(
     restart: bool = False,
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> Campaign:
-    """Measure the yardsticks of every task of a spec, or go on where it was stopped.
+    """Measure the reference policies of every task of a spec, or go on where it was stopped.
 
     Args:
         target: file to add to; default LOCAL_FILE in the working folder, which a collection

@@ -1,4 +1,4 @@
-"""Portions: some episodes of one yardstick on one task, played by a worker.
+"""Portions: some episodes of one reference policy on one task, played by a worker.
 
     portion   (task, policy, horizons, first, rows)   ->   score by horizon
 

@@ -1,4 +1,4 @@
-"""The record of references: what the yardsticks return per task, as data with its evidence.
+"""The record of references: what the reference policies return per task, as data with its evidence.
 
 Shipped in `weights/references.json`, one line per scene, horizon and simulator options.
 `measure.py` measures, into LOCAL_FILE of the working folder; what is there wins.

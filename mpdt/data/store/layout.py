@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
-from mpdt.data.reference import YARDSTICKS
+from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.spec.tasks import Role
 from mpdt.errors import FormatError, UsageError
@@ -64,7 +64,7 @@ EPISODES = (
     Column("source", "<i8", ("E",), optional=True),
 )
 # `ref_expert` is the mean return, `ref_expert_error` its standard error, and so on: the fields
-# of a Reference for each of YARDSTICKS. NaN, 0 episodes and empty text = not known.
+# of a Reference for each of REFERENCE_POLICIES. NaN, 0 episodes and empty text = not known.
 REFERENCE_FIELDS = (
     ("mean", "", "<f8"),
     ("error", "_error", "<f8"),
@@ -78,7 +78,7 @@ TASKS = (
     Column("role", "<i1", ("K",)),
     *(
         Column(f"ref_{name}{suffix}", dtype, ("K",))
-        for name in YARDSTICKS
+        for name in REFERENCE_POLICIES
         for _, suffix, dtype in REFERENCE_FIELDS
     ),
     Column("ref_constant_action", "<f4", ("K", "A")),  # NaN = none chosen

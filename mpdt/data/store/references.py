@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mpdt.data.reference import YARDSTICKS, Reference, References
+from mpdt.data.reference import REFERENCE_POLICIES, Reference, References
 from mpdt.data.store.layout import REFERENCE_FIELDS
 from mpdt.errors import ShapeError
 
@@ -19,7 +19,7 @@ def reference_cells(references: References, action_size: int) -> dict[str, Any]:
     """
     cells = {
         f"ref_{name}{suffix}": _cell(getattr(references[name], field))
-        for name in YARDSTICKS
+        for name in REFERENCE_POLICIES
         for field, suffix, _ in REFERENCE_FIELDS
     }
     action = references.constant_action or (np.nan,) * action_size
@@ -38,7 +38,7 @@ def references_of(values: Mapping[str, Any], row: int) -> References:
             cells["success"] = None
         return Reference(**{field: _plain(cell) for field, cell in cells.items()})
 
-    found = {name: reference(name) for name in YARDSTICKS}
+    found = {name: reference(name) for name in REFERENCE_POLICIES}
     action = values["ref_constant_action"][row]
     chosen = tuple(float(number) for number in action) if np.isfinite(action).all() else ()
     return References({name: ref for name, ref in found.items() if ref.is_known}, chosen)

@@ -69,7 +69,7 @@ class Tasks:
     `indices` are positions in the family's own list (what `Episode.task` and seed keys hold),
     or the row itself where mpdt does not know the family.
 
-    `references` holds what the yardsticks return, one entry per row; `ref_<yardstick>` are
+    `references` holds what the reference policies return, one entry per row; `ref_<policy>` are
     their means (K,) f8, NaN where never measured.
     """
 
@@ -82,9 +82,9 @@ class Tasks:
     def __len__(self) -> int:
         return len(self.names)
 
-    def means(self, yardstick: str) -> Float64:
-        """Mean returns (K,) of one yardstick."""
-        return np.array([references[yardstick].mean for references in self.references])
+    def means(self, policy: str) -> Float64:
+        """Mean returns (K,) of one policy."""
+        return np.array([references[policy].mean for references in self.references])
 
     @property
     def ref_zero(self) -> Float64:

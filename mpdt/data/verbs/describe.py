@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
-from mpdt.data.reference import YARDSTICKS, Reference, level
+from mpdt.data.reference import REFERENCE_POLICIES, Reference, level
 from mpdt.data.store import layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.tables import Int64
@@ -60,7 +60,7 @@ def _task(data: Dataset, row: int, ids: Int64) -> dict[str, Any]:
         "success": float(data.episodes.success[mine].mean()) if has_success else None,
         "references": {
             name: _reference(tasks.references[row][name])
-            for name in YARDSTICKS
+            for name in REFERENCE_POLICIES
             if tasks.references[row][name].is_known
         },
         "constant_action": list(tasks.references[row].constant_action) or None,
@@ -97,7 +97,7 @@ def _mean(task: Mapping[str, Any], name: str) -> float:
 
 
 def reference_table(data: Dataset, names: tuple[str, ...] | None = None) -> str:
-    """What the yardsticks return on each task, with standard errors; empty if nothing is known.
+    """What the reference policies return on each task, with errors; empty if nothing is known.
 
     The largest error is given as a share of the span, expert - random.
     """
@@ -108,10 +108,10 @@ def reference_table(data: Dataset, names: tuple[str, ...] | None = None) -> str:
     ]
     if not chosen:
         return ""
-    heading = ("reference", *YARDSTICKS, "success", "episodes", "error", "source")
+    heading = ("reference", *REFERENCE_POLICIES, "success", "episodes", "error", "source")
     rows = []
     for name, references in chosen:
-        found = [references[yardstick] for yardstick in YARDSTICKS]
+        found = [references[policy] for policy in REFERENCE_POLICIES]
         known = [reference for reference in found if reference.is_known]
         span = references["expert"].mean - references["random"].mean
         worst = max(reference.error for reference in known) / span if span > 0 else float("nan")

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from mpdt.data.reference import YARDSTICKS
+from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.train.fit.data import load_material
 from mpdt.train.fit.reward import RewardSettings
 from mpdt.train.run.config import TrainConfig, to_plain
@@ -132,7 +132,7 @@ def test_every_setting_counts_in_its_part(material, key):
         (lambda m: with_set(m, content_hash="0" * 64), "judging"),
         (lambda m: with_set(m, preset_return=bumped(m.dataset.tta["default"].preset_return)),
          "judging"),
-        *((lambda m, n=name: with_reference(m, n), "judging") for name in YARDSTICKS),
+        *((lambda m, n=name: with_reference(m, n), "judging") for name in REFERENCE_POLICIES),
         (lambda m: with_constant_action(m, (1.0, *[0.0] * 5)), "judging"),
         (lambda m: replace(m, test_rows=(0,)), "judging"),
         (lambda m: with_spec(m, horizon=7), "judging"),
