@@ -15,15 +15,14 @@ import numpy as np
 
 from mpdt.data.collect.plan import Block
 from mpdt.data.episode import Episode, PolicyInfo
-from mpdt.data.slices.standard import standard_slices
-from mpdt.data.slices.stats import compute_stats
+from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.tasks import Family, get_family
 from mpdt.data.store import columns, layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader
-from mpdt.data.store.tables import Additions, TaskRow
+from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import ALIGNED, write_file
 from mpdt.seeding import Quality
 
@@ -88,12 +87,9 @@ def write(path: Path, family_name: str, per_task: int, horizon: int) -> Dataset:
                 key = (family.id, task.index, EXPERT, row // 50, row % 50)
                 yield numbers.episode(task.index, task.index * per_task + row, key)
 
-    def finish(dataset: Dataset) -> Additions:
-        return Additions(slices=standard_slices(dataset), stats=compute_stats(dataset))
-
     count = per_task * len(family.tasks)
     source = EpisodeSource(episodes(), count, count * horizon)
-    return write_file(path, header(family), source, None, finish)
+    return write_file(path, header(family), source, None, standard_additions)
 
 
 def hollow(path: Path, model: Path, num_bytes: int) -> Dataset:

@@ -12,7 +12,8 @@ from mpdt.data.collect.collect import collect as collect_job
 from mpdt.data.collect.job import make_job
 from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
 from mpdt.data.spec.catalog import load_catalog
-from mpdt.data.spec.entry import DatasetSpec, smoke
+from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.spec.entry import smoke as smoke_version
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset, parse_ref
 
@@ -36,7 +37,8 @@ def collect(
     tasks: Sequence[str | int] = (),
     workers: int | None = None,
     restart: bool = False,
-    tiny: bool = False,
+    smoke: bool = False,
+    tiny: bool | None = None,
 ) -> Dataset:
     """Make a dataset, or go on with an interrupted collection of it; `mpdt-data collect`.
 
@@ -47,15 +49,20 @@ def collect(
         workers: processes; None = one per core, which needs `if __name__ == "__main__":` in a
             script; 0 = in this process.
         restart: begin anew and replace what is there.
-        tiny: the smoke version: the same tasks with a few episodes each, as NAME-smoke.
-    Remarks come as UserWarning. Raises: as `build.collect`.
+        smoke: a tiny version with the same tasks, as NAME-smoke.
+        tiny: what `smoke` was called up to 1.0.
+    Remarks come as UserWarning. Raises: as `make_job` and `collect.collect`.
     """
+    if tiny is not None:
+        warnings.warn("collect(tiny=) is called smoke= now, as in the command line",
+                      DeprecationWarning, stacklevel=2)  # fmt: skip
+        smoke = tiny
     if isinstance(spec, str):
         spec = load_catalog().get(spec)
     if tasks:
         spec = msgspec.structs.replace(spec, tasks=tuple(tasks))
-    if tiny:
-        spec = smoke(spec)
+    if smoke:
+        spec = smoke_version(spec)
     path = Path(f"{spec.name}.h5" if target is None else target)
     done = collect_job(make_job(spec), path, workers=workers, restart=restart)
     for remark in done.warnings:

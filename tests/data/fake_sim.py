@@ -111,7 +111,7 @@ def install(patch: Any, medium: float = 0.5) -> None:
     patch(runner, "make_batch", FakeBatch)
     patch(job, "load_ladder", lambda spec: ladder)
     if "FAKE_HANG_IN_PACK" in os.environ:
-        patch(pack, "compute_stats", lambda dataset: _hang(dataset.path))
+        patch(pack, "standard_additions", lambda dataset: _hang(dataset.path))
 
 
 def _hang(path: Path) -> None:

@@ -22,8 +22,11 @@ def test_collect_is_the_command(
     assert mpdt.open(tiny_file).content_hash == before.content_hash
     again = mpdt.collect("tiny", workplace / "other.h5", workers=0)
     assert again.content_hash == before.content_hash
-    few = mpdt.collect("tiny", tasks=["backward"], workers=0, tiny=True)
+    few = mpdt.collect("tiny", tasks=["backward"], workers=0, smoke=True)
     assert (few.path.name, few.tasks.names) == ("tiny-smoke.h5", ("backward",))
+    with pytest.warns(DeprecationWarning, match="called smoke= now"):
+        old = mpdt.collect("tiny", tasks=["backward"], workers=0, tiny=True)
+    assert old.path == few.path and old.content_hash == few.content_hash
     with pytest.raises(UsageError, match="did you mean 'tiny'"):
         mpdt.collect("tinny")
 

@@ -7,6 +7,7 @@ the target stays until the new one has been read back and compared with the part
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -16,8 +17,7 @@ from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.plan import Block, Plan
 from mpdt.data.collect.runner import BlockReport
 from mpdt.data.episode import Episode, PolicyInfo
-from mpdt.data.slices.standard import standard_slices
-from mpdt.data.slices.stats import compute_stats
+from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.tasks import Task
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
@@ -64,9 +64,7 @@ def pack(
     def finish(dataset: Dataset) -> Additions:
         if approve is not None:
             approve(dataset)
-        return Additions(
-            slices=standard_slices(dataset), stats=compute_stats(dataset), references=references
-        )
+        return replace(standard_additions(dataset), references=references)
 
     return write_file(folder.target, _header(plan, policies), source, tta, finish)
 

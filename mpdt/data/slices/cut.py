@@ -19,8 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mpdt.data.slices.choice import first_of_each, in_progress
-from mpdt.data.slices.standard import standard_slices
-from mpdt.data.slices.stats import compute_stats
+from mpdt.data.slices.standard import standard_additions
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.inherit import episodes_of, header_of, tta_of
 from mpdt.data.store.reader import open_dataset
@@ -159,9 +158,8 @@ def write_cut(
     rows = [row for row in allowed if row in with_tta | with_episodes]
 
     def finish(dataset: Dataset) -> Additions:
-        seen = set(dataset.episodes.task.tolist()) & set(dataset.tasks.train_rows)
-        stats = compute_stats(dataset) if seen else _inherited_stats(source, rows)
-        return Additions(slices=standard_slices(dataset), stats=stats)
+        found = standard_additions(dataset)
+        return replace(found, stats=found.stats or _inherited_stats(source, rows))
 
     tta = {name: tta_of(source, name, rows) for name in source.tta}
     return write_file(

@@ -18,13 +18,12 @@ from typing import Any
 from mpdt.data.episode import Episode, PolicyInfo
 from mpdt.data.slices.cut import refuse_to_replace
 from mpdt.data.slices.merge_tta import merged_tta
-from mpdt.data.slices.standard import standard_slices
-from mpdt.data.slices.stats import compute_stats
+from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.inherit import header_of, lineage_step, task_rows
 from mpdt.data.store.sources import EpisodeSource, FileHeader
-from mpdt.data.store.tables import Additions, TaskRow
+from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
 from mpdt.errors import DataError, UsageError
 from mpdt.seeding import UNKNOWN_SEED_KEY
@@ -69,16 +68,12 @@ def merge(sources: Sequence[Dataset], target: Path) -> Merged:
     places, num_repeated = _places(sources)
     header = _header(sources)
 
-    def finish(dataset: Dataset) -> Additions:
-        seen = set(dataset.episodes.task.tolist()) & set(dataset.tasks.train_rows)
-        return Additions(standard_slices(dataset), compute_stats(dataset) if seen else None)
-
     dataset = write_file(
         target,
         header,
         _episodes(sources, places),
         merged_tta(sources, [task.index for task in header.tasks]),
-        finish,
+        standard_additions,
     )
     return Merged(dataset, num_repeated)
 

@@ -15,8 +15,9 @@ import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.slices.choice import first_of_each, in_progress
+from mpdt.data.slices.stats import compute_stats
 from mpdt.data.store.dataset import Dataset
-from mpdt.data.store.tables import Slice
+from mpdt.data.store.tables import Additions, Slice
 
 PAPER_LEVELS = {
     "paper-random": (0.0, 0.3),
@@ -24,6 +25,15 @@ PAPER_LEVELS = {
     "paper-expert": (0.7, 1.0),
 }
 PAPER_MIXED = "paper-mixed"
+
+
+def standard_additions(dataset: Dataset) -> Additions:
+    """What every file of ours gets: its slices, and statistics where a training task has episodes.
+
+    They are only found out once the episodes are in the file, hence as the writer's `finish`.
+    """
+    trained = set(dataset.episodes.task.tolist()) & set(dataset.tasks.train_rows)
+    return Additions(standard_slices(dataset), compute_stats(dataset) if trained else None)
 
 
 def standard_slices(dataset: Dataset) -> dict[str, Slice]:

@@ -12,8 +12,6 @@ from mpdt.data.verbs.options import Options
 
 if TYPE_CHECKING:
     from mpdt.data.exchange.treatment import Rules
-    from mpdt.data.store.dataset import Dataset
-    from mpdt.data.store.tables import Additions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,9 +50,10 @@ class Import(Options):
 
     def run(self) -> None:
         from mpdt.data.exchange import formats, incoming
+        from mpdt.data.slices.standard import standard_additions
 
         found = formats.read(self.format, self.sources, self._rules(), self.output.stem)
-        dataset = incoming.store(found, self.output, additions)
+        dataset = incoming.store(found, self.output, standard_additions)
         for remark in found.remarks:
             self.say(remark)
         result = {
@@ -93,17 +92,6 @@ class Import(Options):
             task=self.task, quality=self.quality, clip_actions=self.clip_actions,
             hide_goal=self.hide_goal, license=self.license,
         )  # fmt: skip
-
-
-def additions(dataset: Dataset) -> Additions:
-    """The slices and statistics every file of ours has."""
-    from mpdt.data.slices.standard import standard_slices
-    from mpdt.data.slices.stats import compute_stats
-    from mpdt.data.store.tables import Additions
-
-    trained = set(dataset.episodes.task.tolist()) & set(dataset.tasks.train_rows)
-    stats = compute_stats(dataset) if trained else None
-    return Additions(slices=standard_slices(dataset), stats=stats)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -143,6 +143,17 @@ def test_standard_slices_and_stats(tiny_file: Path) -> None:
     assert data.stats["actions"]["count"].tolist() == [160.0] * 6
 
 
+def test_test_tasks_alone_are_kept_without_statistics(
+    fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in `collect ml10 --tasks drawer-open`. It was refused after everything was simulated."""
+    monkeypatch.setattr("mpdt.data.spec.entry.find_problems", lambda spec: [])
+    spec = msgspec.structs.replace(tiny_spec, tasks=("backward",), test=("backward",))
+    data = collect(make_job(spec), tmp_path / "x.h5", workers=0).dataset
+    assert (data.num_episodes, data.stats_info) == (16, None)
+    assert "train" not in data.slices and len(data.slices["test"]) == 16
+
+
 def test_parts_are_gone_and_nothing_else_is_left(tiny_file: Path, workplace: Path) -> None:
     assert sorted(path.name for path in workplace.iterdir()) == ["datasets.yaml", "tiny.h5"]
 
