@@ -23,23 +23,24 @@ from trained import SEED, open_run
 
 from mpdt.errors import MpdtError
 from mpdt.seeding import phase_seed
-from mpdt.train.adapt.candidates import UnseenTasks
+from mpdt.train.adapt.candidates import Candidates
 from mpdt.train.adapt.infer import explain
 from mpdt.train.evaluate.aggregate import mean, stratified_interval
 from mpdt.train.evaluate.rollout import SimulatorCache, evaluate
 from mpdt.train.fit.reward import fit_reward_model, read_training_tasks
+from mpdt.train.run.progress import Progress
 
 
 def returns_of(
     run: Path, data: str, most: list[int], episodes: int
 ) -> tuple[list[str], dict[str, NDArray[np.float64]]]:
     """Names of the training tasks (N); per way of acting, mean returns (N)."""
-    trainer, trained = open_run(run, data)
-    material, settings = trainer.material, trainer.config.evaluation
+    config, trained = open_run(run, data)
+    material, settings, progress = trained.material, config.evaluation, Progress()
     known = read_training_tasks(material)
-    infer, progress = trainer.config.adapt.infer, trainer.progress
+    infer = config.adapt.infer
     model = fit_reward_model(
-        known, infer, phase_seed(trainer.config.seed, "adapt"),
+        known, infer, phase_seed(config.seed, "adapt"),
         lambda done, _: progress.update("reward model", done, infer.steps),
     )  # fmt: skip
     with torch.no_grad():
@@ -48,11 +49,11 @@ def returns_of(
     for tasks in most:
         rows = [explain(model, x, tasks, banned=[k]).weights for k, x in enumerate(known)]
         ways[f"{tasks} others"] = torch.from_numpy(np.stack(rows)).float()
-    unseen, cache, found = UnseenTasks(trainer, trained), SimulatorCache(), {}
+    candidates, cache, found = Candidates(trained, config), SimulatorCache(), {}
     for name, weights in ways.items():
         prompts = cross * torch.einsum("nk,kls->nls", weights, parts)
         judged = evaluate(
-            unseen.controller(prompts, trained.returns), material.family,
+            candidates.controller(prompts, trained.returns), material.family,
             material.tasks(material.train_rows), material.options,
             settings.horizon or material.horizon, episodes, SEED, settings.max_rows,
             partial(progress.update, name), cache.make,

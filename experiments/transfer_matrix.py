@@ -22,14 +22,15 @@ import torch
 from trained import SEED, open_run
 
 from mpdt.errors import MpdtError
-from mpdt.train.adapt.candidates import UnseenTasks
+from mpdt.train.adapt.candidates import Candidates
 from mpdt.train.evaluate.rollout import Evaluation, SimulatorCache, evaluate
+from mpdt.train.run.progress import Progress
 
 
 def matrix(run: Path, data: str, episodes: int) -> tuple[list[str], Evaluation]:
     """Names of the prompts (M); returns and successes of M x n tasks, the tasks innermost."""
-    trainer, trained = open_run(run, data)
-    material, settings = trainer.material, trainer.config.evaluation
+    config, trained = open_run(run, data)
+    material, settings = trained.material, config.evaluation
     names = [material.dataset.tasks.names[row] for row in material.train_rows]
     with torch.no_grad():
         prompts = trained.prompts.task_prompts()
@@ -38,15 +39,15 @@ def matrix(run: Path, data: str, episodes: int) -> tuple[list[str], Evaluation]:
             prompts = torch.cat([prompts, cross[None], (cross * parts.mean(dim=0))[None]])
             names += ["P_c", "P_c o mean P_k"]
     n = len(material.test_rows)
-    unseen = UnseenTasks(trainer, trained)
-    controller = unseen.controller(
+    candidates = Candidates(trained, config)
+    controller = candidates.controller(
         prompts.repeat_interleave(n, dim=0),
-        unseen.returns.select(torch.arange(n).repeat(len(prompts))),
+        candidates.returns.select(torch.arange(n).repeat(len(prompts))),
     )
     found = evaluate(
         controller, material.family, material.tasks(material.test_rows) * len(prompts),
         material.options, settings.horizon or material.horizon, episodes, SEED, settings.max_rows,
-        lambda done, total: trainer.progress.update("prompts", done, total),
+        partial(Progress().update, "prompts"),
         SimulatorCache().make, partial(material.goal_key, block="test"),
     )  # fmt: skip
     return names, found

@@ -25,7 +25,7 @@ def look(*pages: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 def test_pages_are_whole_in_a_browser(tmp_path: Path) -> None:
-    from mpdt.train.run.show import read_results
+    from mpdt.train.run.results import read_results
 
     subprocess.run(
         [Path(sys.executable).with_name("mpdt-data"), "collect", "cheetah_dir", "--smoke", "-q"],

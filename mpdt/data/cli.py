@@ -107,7 +107,7 @@ def _answer(argv: Sequence[str] | None) -> int:
 
 def _parse(words: Sequence[str]) -> Options:
     if list(words) == ["--version"]:
-        from mpdt import __version__
+        from mpdt.version import __version__
 
         sys.stdout.write(f"mpdt {__version__}\n")
         raise SystemExit(0)

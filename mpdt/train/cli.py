@@ -110,18 +110,20 @@ def execute(command: Command, rest: list[str]) -> int:
 
 
 def _run(command: Run, rest: list[str]) -> int:
+    from mpdt.train.run.folder import locate
     from mpdt.train.run.pipeline import run_pipeline
+    from mpdt.train.run.prepare import prepare
     from mpdt.train.run.progress import Progress
     from mpdt.train.run.show import print_results
 
     config = parse_settings(command, rest)
     file = Path(command.data.partition(":")[0]).stem
-    name = command.name or f"{file}-{command.method or command.preset}"
+    folder = locate(command.runs_dir, command.name or f"{file}-{command.method or command.preset}")
 
     def body(stop: StopRequest) -> int:
         results = run_pipeline(
-            command.data, config, command.runs_dir, name, command.restart,
-            Progress(command.quiet), stop, command.time_limit_s,
+            prepare(config, command.data), folder, Progress(command.quiet, stop),
+            "restart" if command.restart else "continue", command.time_limit_s,
         )  # fmt: skip
         if results:  # of several processes the first one tells
             print_results(results, command.json)
@@ -133,8 +135,9 @@ def _run(command: Run, rest: list[str]) -> int:
 def _judge(command: Evaluate, rest: list[str]) -> int:
     import msgspec
 
-    from mpdt.train.run.folder import stored_settings
+    from mpdt.train.run.folder import RunFolder, stored_settings
     from mpdt.train.run.pipeline import run_pipeline
+    from mpdt.train.run.prepare import prepare
     from mpdt.train.run.progress import Progress
     from mpdt.train.run.show import print_results
 
@@ -148,8 +151,8 @@ def _judge(command: Evaluate, rest: list[str]) -> int:
 
     def body(stop: StopRequest) -> int:
         results = run_pipeline(
-            command.data, config, command.folder.parent, command.folder.name, False,
-            Progress(command.quiet), stop, must_be_trained=True,
+            prepare(config, command.data), RunFolder(command.folder),
+            Progress(command.quiet, stop), "judge",
         )  # fmt: skip
         print_results(results, command.json)
         return 0
@@ -169,7 +172,7 @@ def _study(command: Study) -> int:
 
     def body(stop: StopRequest) -> int:
         looked = (inspect_cell(cell, places) for cell in cells)
-        done = run_study(cells, places, Progress(command.quiet), stop, command.restart)
+        done = run_study(cells, places, Progress(command.quiet, stop), command.restart)
         states = []
         for outcome in looked if command.dry_run else done:
             line = f"{outcome.state:<8} {outcome.cell.name}  {outcome.note}"
@@ -183,7 +186,8 @@ def _study(command: Study) -> int:
 
 def _report(command: Report) -> int:
     from mpdt.train.report.study_tables import print_study
-    from mpdt.train.run.show import print_results, read_results
+    from mpdt.train.run.results import read_results
+    from mpdt.train.run.show import print_results
     from mpdt.train.study.summary import is_study, read_cells
 
     if is_study(command.folder):

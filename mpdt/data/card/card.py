@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-import mpdt
 from mpdt.data.card import figures
 from mpdt.data.card.facts import QUALITIES, Facts, TaskFacts, commands
 from mpdt.data.card.film import Film
@@ -22,6 +21,7 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.data.verify.finding import Finding, Outcome
 from mpdt.data.verify.verify import Report, summary
 from mpdt.draw.html import render
+from mpdt.version import __version__
 
 ROBOTS = {
     "direction": "A planar cheetah is to run in one of two directions",
@@ -75,7 +75,7 @@ def card_page(
         also=_also(data), made=_made(data),
         typed=shlex.quote(data.path.name),
         commands=commands(data, facts.slice, _whole_is_locked(data, lock)),
-        provenance=_provenance(data), entry=_entry(data), version=mpdt.__version__,
+        provenance=_provenance(data), entry=_entry(data), version=__version__,
     )  # fmt: skip
 
 

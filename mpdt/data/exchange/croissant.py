@@ -13,8 +13,8 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-import mpdt
 from mpdt.data.exchange.manifest import Manifest
+from mpdt.version import __version__
 
 _TERMS = (
     "arrayShape", "citeAs", "column", "equivalentProperty", "extract", "field", "fileObject",
@@ -120,7 +120,7 @@ def _summary(manifest: Manifest) -> str:
     return (
         f"{manifest.num_episodes:,} episodes of {manifest.num_steps:,} steps of the family "
         f"{header.family}, {len(header.tasks)} tasks; observations of {header.observation_size} "
-        f"and actions of {header.action_size} numbers. Written by mpdt {mpdt.__version__}."
+        f"and actions of {header.action_size} numbers. Written by mpdt {__version__}."
     )
 
 

@@ -19,11 +19,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-import mpdt
 from mpdt.data.episode import Episode
 from mpdt.data.exchange import arrow
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.spec.tasks import Family, get_family
+from mpdt.version import __version__
 
 LOST = "the observation after the last step of every episode, seeds, policies and quality"
 CHUNK_FILES, MAX_FILE_MB = 1000, 100
@@ -164,7 +164,7 @@ configs:
 # {header.name} {header.version}
 
 {len(selection.ids):,} episodes of the family {header.family}, written by mpdt
-{mpdt.__version__} from the episodes of content hash {selection.content_hash}. The format has no
+{__version__} from the episodes of content hash {selection.content_hash}. The format has no
 place for {LOST}.
 """
 

@@ -25,7 +25,6 @@ from typing import Any
 
 import msgspec
 
-import mpdt
 from mpdt.data.spec.entry import Problem, SpecMistakesError, canonical_json, raise_problems
 from mpdt.data.spec.strict import build
 from mpdt.data.spec.tasks import FAMILIES
@@ -98,7 +97,7 @@ def lock_path(catalog: Path) -> Path:
     The datasets.yaml that comes inside the installed package, and one in a folder that cannot be
     written, have theirs in the working folder.
     """
-    installed = catalog.resolve().parent == Path(mpdt.__file__).resolve().parent
+    installed = catalog.resolve().parent == Path(__file__).resolve().parents[2]
     if installed or not os.access(catalog.parent, os.W_OK):
         return Path(FILE_NAME)
     return catalog.with_name(FILE_NAME)

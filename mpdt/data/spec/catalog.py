@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import mpdt
 from mpdt.data.spec.entry import (
     Behaviour,
     DatasetSpec,
@@ -67,7 +66,7 @@ def load_catalog(path: Path | None = None) -> Catalog:
 
 def _default_path() -> Path:
     # Wheels carry the file inside the package; an editable install has it beside the package.
-    package = Path(mpdt.__file__).parent
+    package = Path(__file__).parents[2]
     here, inside = Path(FILE_NAME), package / FILE_NAME
     if os.path.lexists(here):  # also a folder or a broken link: to pass it over would surprise
         return here

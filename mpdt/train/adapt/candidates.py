@@ -5,30 +5,40 @@ Candidate = a label, a controller, and what was read of the test task to make it
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mpdt.data.sim.actors import Actor
+from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
 from mpdt.data.store.reader import open_tta_rewards
 from mpdt.errors import UsageError
 from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.policy import PolicyBatch, PromptPolicy, action_loss
-from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start
+from mpdt.model.prompts import UNTUNED, AdaptedPrompts, PromptSettings, Start
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import phase_seed
-from mpdt.train.adapt.align import INFERRED, NOT_ADAPTED, AdaptationSet, adapt, unseen_returns
-from mpdt.train.adapt.few_shot import choose_labelled, tune
+from mpdt.train.adapt.align import (
+    INFERRED,
+    NOT_ADAPTED,
+    AdaptationSet,
+    AdaptSettings,
+    adapt,
+    unseen_returns,
+)
+from mpdt.train.adapt.few_shot import FewShotSettings, choose_labelled, tune
 from mpdt.train.adapt.infer import Explanation, explain
-from mpdt.train.adapt.statistics import LayerStatistics, source_statistics
+from mpdt.train.adapt.statistics import LayerStatistics, StatisticsSettings, source_statistics
 from mpdt.train.evaluate.controller import PerTaskController, PromptController
 from mpdt.train.evaluate.score import Reads
-from mpdt.train.fit.data import sample_demonstrations
+from mpdt.train.fit.data import Ids, sample_demonstrations
+from mpdt.train.fit.log import MetricsLog
 from mpdt.train.fit.reward import fit_reward_model, read_training_tasks, read_transitions
-from mpdt.train.run.trainer import Trained, Trainer
+from mpdt.train.fit.trained import Trained
 
 DONOR_BATCHES = 4  # of all training tasks, to choose the one whose demonstration stands for all
 
@@ -42,16 +52,47 @@ class Candidate:
     reads: Reads
 
 
-class UnseenTasks:
-    """Makes the candidates of one trained policy, in the order of the table.
+class Settings(Protocol):
+    """The parts of a run's settings that are looked at here; `TrainConfig` has them all."""
 
+    @property
+    def seed(self) -> int: ...
+    @property
+    def prompts(self) -> PromptSettings: ...
+    @property
+    def sampler(self) -> SamplerSettings: ...
+    @property
+    def statistics(self) -> StatisticsSettings: ...
+    @property
+    def adapt(self) -> AdaptSettings: ...
+    @property
+    def few_shot(self) -> FewShotSettings: ...
+
+
+OnStep = Callable[[str, int, int, str], None]
+"""Called with (phase, steps done, steps in all, how it goes); raises to stop."""
+
+
+def _untold(_phase: str, _done: int, _total: int, _text: str) -> None:
+    pass
+
+
+class Candidates:
+    """The candidates of one trained policy, made one after another in the order of the table.
+
+    Args:
+        log: where losses and inferred weights go; None = nowhere.
     Attributes:
         returns: what is asked of the test tasks, one row each.
+    Raises: as `find_tta_set`, where the settings need that set.
     """
 
-    def __init__(self, trainer: Trainer, trained: Trained) -> None:
-        self._trainer, self._trained = trainer, trained
-        self._config, self._material = trainer.config, trainer.material
+    def __init__(
+        self, trained: Trained, settings: Settings, on_step: OnStep = _untold,
+        log: MetricsLog | None = None,
+    ) -> None:  # fmt: skip
+        self._trained, self._material, self._config = trained, trained.material, settings
+        self._on_step, self._log = on_step, log
         self._rows = self._material.test_rows
         self._seed = phase_seed(self._config.seed, "adapt")
         self._weights: Tensor | None = None
@@ -66,8 +107,8 @@ class UnseenTasks:
             presets = self._x.presets
         self.returns = unseen_returns(trained.returns, self._config.adapt, presets)
 
-    def candidates(self) -> Iterator[Candidate]:
-        """Adapted, few-shot, not adapted. Raises: Stopped after a signal; DataError."""
+    def __iter__(self) -> Iterator[Candidate]:
+        """Adapted, few-shot, not adapted. Raises: DataError; whatever `on_step` does."""
         settings = self._config.adapt
         source = self._statistics() if settings.aligns else None
         for start in dict.fromkeys(settings.starts):
@@ -85,6 +126,12 @@ class UnseenTasks:
         prompts = self._start(NOT_ADAPTED).task_prompts().detach()
         yield Candidate(label, self.controller(prompts, self.returns), "nothing")
 
+    def own(self) -> PromptController:
+        """The training tasks, each behind its own prompt."""
+        with torch.no_grad():
+            prompts = self._trained.prompts.task_prompts()
+        return self.controller(prompts, self._trained.returns)
+
     def controller(
         self, prompts: Tensor, returns: ReturnTable, policy: PromptPolicy | None = None
     ) -> PromptController:
@@ -96,17 +143,12 @@ class UnseenTasks:
         )  # fmt: skip
 
     def _adapt(self, start: Start, source: LayerStatistics | None) -> Tensor:
-        trainer, settings = self._trainer, self._config.adapt
+        settings = self._config.adapt
 
         def on_step(step: int, losses: list[float]) -> None:
-            trainer.stop.check()
-            trainer.folder.log.append(
-                {"phase": "adapt", "start": start, "step": step, "losses": losses}
-            )
-            trainer.progress.update(
-                f"adapt {start}", step + 1, settings.steps,
-                f"alignment {sum(losses) / len(losses):.4f}",
-            )  # fmt: skip
+            self._note({"phase": "adapt", "start": start, "step": step, "losses": losses})
+            self._on_step(f"adapt {start}", step + 1, settings.steps,
+                          f"alignment {sum(losses) / len(losses):.4f}")  # fmt: skip
 
         weights = None
         if start in INFERRED:
@@ -127,16 +169,15 @@ class UnseenTasks:
         return AdaptedPrompts(trained, start, len(self._rows), weights, self._seed)
 
     def _few_shot(self) -> Iterator[Candidate]:
-        settings, trainer = self._config.few_shot, self._trainer
+        settings = self._config.few_shot
         for quality in settings.qualities:
             labelled = choose_labelled(
                 self._material.dataset, self._rows, quality, settings.steps, self._seed
             )
 
             def on_step(done: int, parts: dict[str, float], quality: str = quality) -> None:
-                trainer.stop.check()
-                trainer.progress.update(f"few-shot {quality}", done, settings.updates,
-                                        f"action loss {parts['action_loss']:.4f}")  # fmt: skip
+                self._on_step(f"few-shot {quality}", done, settings.updates,
+                              f"action loss {parts['action_loss']:.4f}")  # fmt: skip
 
             if settings.demonstration:
                 weights = torch.eye(len(self._rows))
@@ -179,10 +220,8 @@ class UnseenTasks:
             names = [self._material.dataset.tasks.names[row] for row in self._material.train_rows]
             for row, own in zip(self._rows, found, strict=True):
                 task = self._material.dataset.tasks.names[row]
-                self._trainer.folder.log.append(
-                    {"phase": "infer", "task": task, "weights": own.named(names),
-                     "error": float(own.errors.min())}
-                )  # fmt: skip
+                self._note({"phase": "infer", "task": task, "weights": own.named(names),
+                            "error": float(own.errors.min())})  # fmt: skip
             stacked = np.stack([own.weights for own in found])
             self._weights = torch.from_numpy(stacked).to(torch.float32)
         return self._weights
@@ -195,9 +234,8 @@ class UnseenTasks:
         known = read_training_tasks(material)
 
         def on_step(done: int, loss: float) -> None:
-            self._trainer.stop.check()
-            self._trainer.progress.update("reward model", done, settings.infer.steps,
-                                          f"unexplained {loss:.5f}")  # fmt: skip
+            self._on_step("reward model", done, settings.infer.steps,
+                          f"unexplained {loss:.5f}")  # fmt: skip
 
         model = fit_reward_model(known, settings.infer, self._seed, on_step)
         rewards, _ = open_tta_rewards(dataset.path, settings.set)
@@ -208,10 +246,18 @@ class UnseenTasks:
             for ids in self._x.ids
         ]
 
+    def _note(self, record: Mapping[str, Any]) -> None:
+        if self._log is not None:
+            self._log.append(record)
+
+    def _sampler(self, ids: Mapping[int, Ids] | None = None) -> WindowSampler:
+        seed = phase_seed(self._config.seed, "statistics")
+        return self._material.sampler(self._config.sampler, seed, ids)
+
     def _statistics(self) -> LayerStatistics:
         settings = self._config.statistics
         ids = self._material.random_ids() if settings.source == "random" else None
-        sampler = self._trainer.sampler("statistics", ids)
+        sampler = self._sampler(ids)
         # X is covered evenly; a training sampler may show the beginning of episodes more often.
         sampler.start_bias = 0
         trained = self._trained
@@ -225,7 +271,7 @@ class UnseenTasks:
 
         Every training task counts the same, however many of them an update takes.
         """
-        trained, sampler = self._trained, self._trainer.sampler("statistics")
+        trained, sampler = self._trained, self._sampler()
         sampler.num_slots, sampler.start_bias = len(self._material.train_rows), 0
         parts = trained.prompts.task_parts()
         losses = np.zeros(len(parts))

@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from mpdt.data.episode import QUALITY_CODES
+from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
 from mpdt.data.slices.windows import RewardReturns, WindowBatch, gather_windows
 from mpdt.data.spec.goals import GoalSet
 from mpdt.data.spec.tasks import Family, Task, get_family
@@ -79,6 +80,20 @@ class Material:
     def tasks(self, rows: Sequence[int]) -> list[Task]:
         """The family's tasks behind rows of the file."""
         return [self.family.task(self.dataset.tasks.names[row]) for row in rows]
+
+    def sampler(
+        self, settings: SamplerSettings, seed: int, ids: Mapping[int, Ids] | None = None
+    ) -> WindowSampler:
+        """Windows of the training tasks.
+
+        Args:
+            ids: other episodes than those trained on, per training row.
+        """
+        return WindowSampler(
+            self.dataset, ids or self.episode_ids, self.train_rows, settings.window,
+            settings.per_task, seed, settings.start_bias, settings.tasks_per_update,
+            settings.order,
+        )  # fmt: skip
 
     def random_ids(self) -> dict[int, Ids]:
         """Random-quality episodes of the training tasks, wherever the slice ends.

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import mpdt
 from mpdt.draw.chart import Chart, Dot, axis_over, row_chart
 from mpdt.draw.html import picture, render, write_page
 from mpdt.draw.table import Table
@@ -33,9 +32,10 @@ from mpdt.train.report.charts import (
     short_names,
 )
 from mpdt.train.report.study_tables import report_tables
-from mpdt.train.run.show import scores_in
+from mpdt.train.run.results import scores_in
 from mpdt.train.study.maps import map_pixels, prompt_maps
 from mpdt.train.study.summary import CellResult, summarise, task_intervals
+from mpdt.version import __version__
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Content:
 
 def write_result(target: Path, content: Content) -> None:
     """Raises: StorageError where the disk refuses."""
-    text = render("result.html", "mpdt.train.report", content=content, version=mpdt.__version__)
+    text = render("result.html", "mpdt.train.report", content=content, version=__version__)
     write_page(target, text)
 
 

@@ -20,7 +20,7 @@ from mpdt.train.fit.loop import TaskPrompts
 from mpdt.train.run.config import TrainConfig
 
 
-def untrained_prompts(
+def first_prompts(
     material: Material, config: TrainConfig, policy: PromptPolicy, returns: ReturnTable
 ) -> TaskPrompts:
     """Prompts of the training tasks before their first update.

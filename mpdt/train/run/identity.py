@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,9 +39,14 @@ class Identity:
         return {"training": _hash_facts(self.training), "judging": _hash_facts(self.judging)}
 
 
-def identify(config: TrainConfig, material: Material) -> Identity:
-    """The identity of a run. Raises: as `find_tta_set`, where the run needs that set."""
-    settings = plain_settings(config)
+def identify(config: TrainConfig, plain: Mapping[str, Any], material: Material) -> Identity:
+    """The identity of a run.
+
+    Args:
+        plain: `plain_settings(config)`.
+    Raises: as `find_tta_set`, where the run needs that set.
+    """
+    settings = dict(plain)
     judging = {name: settings.pop(name) for name in JUDGING}
     settings["quality"] = material.quality
     facts = (

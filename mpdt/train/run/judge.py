@@ -1,7 +1,7 @@
 """After training: adapt to the test tasks, run everybody in the simulator, fill the table.
 
 training tasks   zero, random, best constant, expert | the method, each task behind its own prompt
-test tasks       zero, random, best constant, expert | every candidate of `unseen.py`
+test tasks       zero, random, best constant, expert | every one of `adapt/candidates.py`
 
 All but the expert are run here, on the same seeds; the constant action is the one in the file.
 The expert is the reference in the file, where the horizon is the same.
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.reference import UNKNOWN, Reference
 from mpdt.data.sim.actors import Actor, ConstantPolicy, UniformPolicy, ZeroPolicy
-from mpdt.train.adapt.candidates import UnseenTasks
+from mpdt.train.adapt.candidates import Candidates
 from mpdt.train.evaluate.rollout import Evaluation, SimulatorCache, evaluate
 from mpdt.train.evaluate.score import (
     CONSTANT,
@@ -34,44 +34,49 @@ from mpdt.train.evaluate.score import (
     scores_of,
     with_verdicts,
 )
-from mpdt.train.run.trainer import Trained, Trainer
+from mpdt.train.fit.log import MetricsLog
+from mpdt.train.fit.trained import Trained
+from mpdt.train.run.config import TrainConfig
+from mpdt.train.run.progress import Progress
 
 
 @dataclass
 class Judge:
-    """The phases after training, on the trainer's data, settings and progress."""
+    """The phases after training.
 
-    trainer: Trainer
+    Args:
+        log: where adaptation writes; None = nowhere.
+    """
+
     trained: Trained
+    config: TrainConfig
+    progress: Progress
+    log: MetricsLog | None = None
     simulators: SimulatorCache = field(default_factory=SimulatorCache)
 
     def scores(self) -> list[Score]:
         """All rows of the final table. Raises: Stopped after a signal."""
-        material, config = self.trainer.material, self.trainer.config
+        material, config = self.trained.material, self.config
         blocks = config.evaluation.blocks
         constant = self._constant_action() if config.evaluation.constants else None
-        unseen = UnseenTasks(self.trainer, self.trained)
+        candidates = Candidates(self.trained, config, self.progress.update, self.log)
         scores, references = list[Score](), list[Score]()
         if "train" in blocks:
-            with torch.no_grad():
-                prompts = self.trained.prompts.task_prompts()
-            own = unseen.controller(prompts, self.trained.returns)
+            own = candidates.own()
             references = self._references("train", material.train_rows, constant)
             scores = references + self._score("train", config.method, material.train_rows, own)
         if not material.test_rows or "test" not in blocks:
             return with_verdicts(scores)
         same = config.evaluation.train_episodes in (0, config.evaluation.episodes)
         if material.goals is not None:  # the tasks are known, their goals are not
-            with torch.no_grad():
-                own = unseen.controller(self.trained.prompts.task_prompts(), self.trained.returns)
             label = f"{config.method} own prompts"
-            scores += self._score("test", label, material.test_rows, own, "task id")
+            scores += self._score("test", label, material.test_rows, candidates.own(), "task id")
         if references and same and material.one_table:
             # The same episodes: a trivial policy is run on a task once.
             scores += [msgspec.structs.replace(score, block="test") for score in references]
         else:
             scores += self._references("test", material.test_rows, constant)
-        for candidate in unseen.candidates():
+        for candidate in candidates:
             label = f"{config.method} {candidate.label}"
             scores += self._score(
                 "test", label, material.test_rows, candidate.controller, candidate.reads
@@ -81,17 +86,13 @@ class Judge:
     def _evaluate(
         self, block: Block, label: str, rows: Sequence[int], actor: Actor, episodes: int,
     ) -> Evaluation:  # fmt: skip
-        material, settings = self.trainer.material, self.trainer.config.evaluation
-
-        def on_progress(done: int, total: int) -> None:
-            self.trainer.stop.check()
-            self.trainer.progress.update(label, done, total)
-
+        material, settings = self.trained.material, self.config.evaluation
         with torch.no_grad():
             return evaluate(
                 actor, material.family, material.tasks(rows), material.options,
                 settings.horizon or material.horizon, episodes, settings.seed, settings.max_rows,
-                on_progress, self.simulators.make, partial(material.goal_key, block=block),
+                partial(self.progress.update, label), self.simulators.make,
+                partial(material.goal_key, block=block),
             )  # fmt: skip
 
     def _score(
@@ -102,7 +103,7 @@ class Judge:
         actor: Actor,
         reads: Reads | None = None,
     ) -> list[Score]:
-        settings = self.trainer.config.evaluation
+        settings = self.config.evaluation
         episodes = (settings.train_episodes if block == "train" else 0) or settings.episodes
         result = self._evaluate(block, f"{block}: {method}", rows, actor, episodes)
         random, expert = self._means("random", rows), self._means("expert", rows)
@@ -112,9 +113,9 @@ class Judge:
 
     def _stored(self, name: str, rows: Sequence[int]) -> list[Reference]:
         """References (n,) of the file; unknown where the horizon judged here is another."""
-        references = self.trainer.material.dataset.tasks.references
-        horizon = self.trainer.config.evaluation.horizon
-        if horizon not in (0, self.trainer.material.horizon):
+        references = self.trained.material.dataset.tasks.references
+        horizon = self.config.evaluation.horizon
+        if horizon not in (0, self.trained.material.horizon):
             return [UNKNOWN] * len(rows)
         return [references[row][name] for row in rows]
 
@@ -123,14 +124,14 @@ class Judge:
 
     def _constant_action(self) -> NDArray[np.float32] | None:
         """The family's best constant action, chosen on training tasks when the file was made."""
-        tasks = self.trainer.material.dataset.tasks
+        tasks = self.trained.material.dataset.tasks
         actions = {references.constant_action for references in tasks.references}
         return np.array(actions.pop(), np.float32) if len(actions) == 1 and any(actions) else None
 
     def _references(
         self, block: Block, rows: Sequence[int], constant: NDArray[np.float32] | None
     ) -> list[Score]:
-        material = self.trainer.material
+        material = self.trained.material
         family = material.family
         size, low, high = family.action_size, family.action_low, family.action_high
         zero = self._score(block, ZERO, rows, ZeroPolicy(size))

@@ -12,13 +12,11 @@ The same numbers as `evaluate` with one row. Nothing is written into the run's f
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
@@ -33,16 +31,13 @@ from mpdt.model.returns import ReturnTable
 from mpdt.model.weights import load_weights
 from mpdt.seeding import phase_seed
 from mpdt.train.adapt.align import AdaptationSet, unseen_returns
-from mpdt.train.adapt.candidates import UnseenTasks
-from mpdt.train.fit.checkpoint import Subject
-from mpdt.train.fit.data import load_material
-from mpdt.train.fit.loop import make_optimizer
+from mpdt.train.adapt.candidates import Candidates
+from mpdt.train.fit.trained import Trained
+from mpdt.train.run.build import build
+from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.folder import RunFolder, stored_settings
-from mpdt.train.run.identity import identify
-from mpdt.train.run.progress import Progress
-from mpdt.train.run.show import read_results
-from mpdt.train.run.stop import StopRequest
-from mpdt.train.run.trainer import Trained, Trainer
+from mpdt.train.run.prepare import Prepared, prepare
+from mpdt.train.run.results import read_results
 
 Adaptation = Callable[[PromptPolicy, TrainedPrompts, AdaptationSet, ReturnTable], Tensor]
 """An adaptation of your own: policy, trained prompts, X and returns of the n test tasks ->
@@ -98,47 +93,49 @@ def load_policy(
         for weights of other data or settings; as `open_dataset`.
     """
     folder = RunFolder(Path(run))
-    config = stored_settings(folder.path)
-    material = load_material(_data_of(folder, data), config.quality)
+    prepared = _prepare(folder, data)
+    config, material = prepared.config, prepared.material
     row = material.dataset.task_row(task)
     own = row in material.train_rows and start is None
     start = start or "none"
     if not own and row not in material.test_rows:
         names = [material.dataset.tasks.names[known] for known in material.test_rows]
         raise unknown_name("test task", material.dataset.tasks.names[row], names, str(folder.path))
-    identity = identify(config, material).hashes["training"]
-    # Judging settings are not part of what the weights are bound to.
+    trained = _weights(folder, prepared)
     config = msgspec.structs.replace(
         config,
         adapt=msgspec.structs.replace(config.adapt, starts=("none" if callable(start) else start,)),
         few_shot=msgspec.structs.replace(config.few_shot, qualities=(), demonstration=False),
     )
-    with tempfile.TemporaryDirectory() as scratch:  # adaptation keeps a log
-        trainer = Trainer(
-            material, config, from_settings(config.backbone), RunFolder(Path(scratch)),
-            Progress(quiet=True), StopRequest(), run_hash=identity,
-        )  # fmt: skip
-        trained = _load(trainer, folder.weights)
-        unseen = UnseenTasks(trainer, trained)
-        if own:
-            slot = material.train_rows.index(row)
-            with torch.no_grad():
-                prompts = trained.prompts.task_prompts()
-            controller: Actor = unseen.controller(prompts, trained.returns)
+    candidates = Candidates(trained, config)
+    if own:
+        slot = material.train_rows.index(row)
+        controller: Actor = candidates.own()
+    else:
+        slot = material.test_rows.index(row)
+        if callable(start):
+            controller = candidates.controller(*_adapted_by(start, config, trained))
         else:
-            slot = material.test_rows.index(row)
-            if callable(start):
-                controller = unseen.controller(*_adapted_by(start, trainer, trained))
-            else:
-                controller = next(unseen.candidates()).controller
+            controller = next(iter(candidates)).controller
     return ActingPolicy(controller, material.family, slot)
 
 
+def load_trained(run: Path | str, data: Path | str | None = None) -> Trained:
+    """What training left in the folder of a run; trains nothing and writes nothing.
+
+    Args:
+        data: as in `load_policy`.
+    Raises: as `load_policy`.
+    """
+    folder = RunFolder(Path(run))
+    return _weights(folder, _prepare(folder, data))
+
+
 def _adapted_by(
-    adaptation: Adaptation, trainer: Trainer, trained: Trained
+    adaptation: Adaptation, config: TrainConfig, trained: Trained
 ) -> tuple[Tensor, ReturnTable]:
     """Prompts (n, l, s) of all test tasks, and their returns. Raises: ShapeError; DataError."""
-    config, material = trainer.config, trainer.material
+    material = trained.material
     family = material.family
     x = AdaptationSet(
         material.dataset, material.test_rows, config.adapt, config.sampler.window,
@@ -153,14 +150,16 @@ def _adapted_by(
     return prompts, returns
 
 
-def _load(trainer: Trainer, weights: Path) -> Trained:
-    """What training left on the disk; trains nothing, touches no log."""
-    trainer.prepare()
-    optimizer = make_optimizer(trainer.policy, trainer.prompts, trainer.config.optimiser)
-    hashes = {"run": trainer.run_hash, "backbone": trainer.backbone.fingerprint}
-    _, tensors = load_weights(weights, kind="mpdt", hashes=hashes)
-    Subject(trainer.policy, trainer.prompts, optimizer).load(tensors)
-    return Trained(trainer.policy, trainer.prompts, trainer.returns, trainer.asked, trainer.asked)
+def _prepare(folder: RunFolder, data: Path | str | None) -> Prepared:
+    return prepare(stored_settings(folder.path), _data_of(folder, data))
+
+
+def _weights(folder: RunFolder, prepared: Prepared) -> Trained:
+    """The learner of the run, filled from its file of weights."""
+    learner = build(prepared, from_settings(prepared.config.backbone))
+    header, tensors = load_weights(folder.weights, kind="mpdt", hashes=learner.hashes)
+    learner.subject(learner.prompts).load(tensors)
+    return learner.trained(msgspec.convert(header.settings["updates"], dict[str, int]))
 
 
 def _data_of(folder: RunFolder, data: Path | str | None) -> str:

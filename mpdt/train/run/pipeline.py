@@ -1,13 +1,16 @@
-"""The whole of `mpdt-train --data FILE`: open, train, judge, write down."""
+"""The whole of `mpdt-train --data FILE`: train, judge, write down.
+
+prepared -> train -> weights.safetensors
+         -> layer statistics -> adapted prompts of the test tasks
+         -> closed-loop evaluation -> results.json, report.md
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import time
-from importlib.metadata import version
-from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 
@@ -17,36 +20,29 @@ from mpdt.errors import MissingFileError, UsageError
 from mpdt.model.backbone import from_settings
 from mpdt.train.evaluate.score import encode_results, write_atomic
 from mpdt.train.evaluate.tables import NORMALISED, build_tables
-from mpdt.train.fit.data import Material, load_material
+from mpdt.train.fit.data import Material
 from mpdt.train.fit.group import Group
-from mpdt.train.run.config import TrainConfig, to_plain
-from mpdt.train.run.folder import claimed, inspect, locate
-from mpdt.train.run.identity import Identity, identify
+from mpdt.train.fit.trained import Trained
+from mpdt.train.run.build import build
+from mpdt.train.run.folder import RunFolder, claimed, inspect
 from mpdt.train.run.judge import Judge
+from mpdt.train.run.prepare import Prepared
 from mpdt.train.run.progress import Progress
-from mpdt.train.run.show import find_results, set_aside
-from mpdt.train.run.stop import StopRequest
-from mpdt.train.run.trainer import Trained, Trainer, count_trainables
+from mpdt.train.run.results import find_results, results_header, set_aside
+from mpdt.train.run.trainer import Trainer
 
-FORMAT = "mpdt-results/1"
-VERSIONED = ("mpdt", "torch", "transformers", "numpy", "mujoco", "metaworld")
+How = Literal["continue", "restart", "judge"]
+"""Go on where the folder is, begin anew, or judge what is there and train nothing."""
 
 
 def run_pipeline(
-    data: str,
-    config: TrainConfig,
-    runs_dir: Path,
-    name: str,
-    restart: bool,
+    prepared: Prepared,
+    folder: RunFolder,
     progress: Progress,
-    stop: StopRequest,
+    how: How = "continue",
     time_limit_s: float = 0.0,
-    must_be_trained: bool = False,
 ) -> dict[str, Any]:
     """Do, continue or look up one run; returns the content of its results.json.
-
-    Args:
-        must_be_trained: judge what is there; train nothing.
 
     Raises: Stopped after a signal, with everything saved that can be; MpdtError for what the
         user can mend, before anything is written or trained where that can be known.
@@ -54,19 +50,16 @@ def run_pipeline(
     if not time_limit_s >= 0:
         raise UsageError("setting out of range", where="--time-limit-s",
                          expected="at least 0", found=str(time_limit_s))  # fmt: skip
+    config, identity, restart = prepared.config, prepared.identity, how == "restart"
     group = Group.join()
     if group.size > 1 and config.inputs.return_dropout:
         raise UsageError("return dropout is drawn for whole batches, not for a process's share",
                          where="inputs.return_dropout", expected="0 with torchrun",
                          found=str(config.inputs.return_dropout))  # fmt: skip
-    # Every process keeps checkpoints of its own; what is judged and kept is the first one's.
-    folder = locate(runs_dir, name if group.rank == 0 else f"{name}.rank-{group.rank}")
-    material = load_material(data, config.quality)
-    random = config.statistics.source == "random" and config.adapt.aligns
-    if material.test_rows and (random or config.adapt.infers):
-        material.random_ids()
-    identity = identify(config, material)
-    progress.say(_describe(material))
+    if group.rank > 0:
+        # Every process keeps checkpoints of its own; what is judged and kept is the first one's.
+        folder = RunFolder(folder.path.with_name(f"{folder.path.name}.rank-{group.rank}"))
+    progress.say(_describe(prepared.material))
     done = None if restart else find_results(folder.path, identity.hashes)
     # Only the first process has results; none may go on while another is gone.
     if group.any([done is not None])[0]:
@@ -74,51 +67,48 @@ def run_pipeline(
         progress.say(f"this run is done: {folder.path} (again: --restart)")
         return done or {}
     inspect(folder, identity, restart)
-    if must_be_trained and not folder.weights.exists():
+    if how == "judge" and not folder.weights.exists():
         raise MissingFileError("no trained weights in this run", where=str(folder.path),
-                               hint=f"mpdt-train --data {data} --name {name}")  # fmt: skip
-    stop.check()
+                               hint=f"mpdt-train --data {prepared.ref} "
+                               f"--name {folder.path.name}")  # fmt: skip
+    progress.stop.check()
     torch.set_num_threads(config.threads or len(os.sched_getaffinity(0)))
     backbone = from_settings(config.backbone)
     progress.say(
         f"backbone {backbone.name}, {backbone.num_layers} blocks of width {backbone.width}, "
         f"{str(backbone.dtype).removeprefix('torch.')}, weights {backbone.fingerprint[:12]}"
     )
-    trainer = Trainer(
-        material, config, backbone, folder, progress, stop, time_limit_s,
-        identity.hashes["training"], group,
-    )  # fmt: skip
-    # Whatever can be refused has been refused by now, and nothing was written yet.
-    trainer.prepare()
-    stop.check()
+    # Whatever can be refused has been refused after this, and nothing was written yet.
+    learner = build(prepared, backbone)
+    trainer = Trainer(learner, folder, progress, time_limit_s, group)
+    progress.stop.check()
     with claimed(folder, identity, restart):
         if group.rank > 0:
             trainer.train()
             group.leave()
             return {}
-        return _train_and_judge(trainer, name, identity)
+        return _train_and_judge(trainer)
 
 
-def _train_and_judge(trainer: Trainer, name: str, identity: Identity) -> dict[str, Any]:
+def _train_and_judge(trainer: Trainer) -> dict[str, Any]:
     """The content of results.json, written."""
-    material, folder, progress = trainer.material, trainer.folder, trainer.progress
-    began_s = time.monotonic()
+    prepared, folder, progress = trainer.learner.prepared, trainer.folder, trainer.progress
+    began_s, name = time.monotonic(), folder.path.name
     trained = trainer.train()
     trainer.group.leave()
     trained_s = time.monotonic() - began_s
     if not trained.complete:
         progress.say(f"training ended by --time-limit-s: {_updates(trained)}")
-    scores = Judge(trainer, trained).scores()
+    scores = Judge(trained, prepared.config, progress, folder.log).scores()
     seconds = {"training": trained_s, "all": time.monotonic() - began_s}
-    header = _header(name, material, trainer.config, trained, seconds)
-    header["identity"] = identity.hashes
+    header = results_header(name, prepared, trained, seconds)
     content = encode_results(header, scores)
-    backbone = trainer.backbone
+    backbone = trained.policy.backbone
     facts = {
         "name": name,
-        "data": _describe(material),
+        "data": _describe(prepared.material),
         "backbone": f"{backbone.name}, {backbone.num_layers} blocks, {backbone.fingerprint}",
-        "trained numbers": f"{header['num_trainables']:,}",
+        "trained numbers": f"{trained.num_trainables:,}",
         "updates": _updates(trained),
     }
     # results.json goes first and comes last: it is what marks a run as done.
@@ -127,7 +117,7 @@ def _train_and_judge(trainer: Trainer, name: str, identity: Identity) -> dict[st
     write_atomic(folder.report, markdown_page(facts, build_tables(scores), NORMALISED).encode())
     write_atomic(folder.results, content)
     with disk(folder.path):
-        folder.judged(identity.hashes["judging"]).unlink(missing_ok=True)
+        folder.judged(prepared.identity.hashes["judging"]).unlink(missing_ok=True)
     progress.say(f"written to {folder.path}")
     results: dict[str, Any] = json.loads(content)
     return results
@@ -148,40 +138,3 @@ def _describe(material: Material) -> str:
         f"{dataset.content_hash}, {material.quality}: {episodes} episodes of "
         f"{len(material.train_rows)} training tasks, {len(material.test_rows)} test tasks"
     )
-
-
-def _header(
-    name: str,
-    material: Material,
-    config: TrainConfig,
-    trained: Trained,
-    seconds: dict[str, float],
-) -> dict[str, Any]:
-    dataset, backbone = material.dataset, trained.policy.backbone
-    return {
-        "format": FORMAT,
-        "name": name,
-        "data": {
-            "file": dataset.path.name,
-            "name": dataset.name,
-            "version": dataset.version,
-            "content_hash": dataset.content_hash,
-            "slice": material.slice,
-            "quality": material.quality,
-            "horizon": config.evaluation.horizon or material.horizon,
-        },
-        "backbone": {
-            "name": backbone.name,
-            "num_layers": backbone.num_layers,
-            "width": backbone.width,
-            "fingerprint": backbone.fingerprint,
-            "dtype": str(backbone.dtype).removeprefix("torch."),
-        },
-        "num_trainables": count_trainables(trained),
-        "updates": dict(trained.steps),
-        "updates_asked": dict(trained.asked),
-        "complete": trained.complete,
-        "seconds": {phase: round(value, 1) for phase, value in seconds.items()},
-        "versions": {name: version(name) for name in VERSIONED},
-        "config": to_plain(config),
-    }

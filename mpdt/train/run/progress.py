@@ -1,4 +1,7 @@
-"""How far a run is, on stderr: a bar on a terminal, else one line per phase and ten seconds."""
+"""How far a run is, on stderr: a bar on a terminal, else one line per phase and ten seconds.
+
+Whoever reports is told to stop here as well, so the two travel together.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,21 @@ import sys
 import time
 from typing import TextIO
 
+from mpdt.train.run.stop import StopRequest
+
 LINE_EVERY_S = 10.0
 
 
 class Progress:
     """Args:
     quiet: say nothing.
+    stop: asked after every update; None = nobody stops it.
     """
 
-    def __init__(self, quiet: bool = False, stream: TextIO | None = None) -> None:
+    def __init__(
+        self, quiet: bool = False, stop: StopRequest | None = None, stream: TextIO | None = None
+    ) -> None:
+        self.stop = stop or StopRequest()
         self._quiet, self._stream = quiet, stream or sys.stderr
         self._terminal = self._stream.isatty()
         self._phase, self._began_s, self._first, self._said_s = "", 0.0, 0, 0.0
@@ -28,7 +37,14 @@ class Progress:
             self._stream.flush()
 
     def update(self, phase: str, done: int, total: int, text: str = "") -> None:
-        """`done` of `total` steps of a phase; a new phase starts its own clock."""
+        """`done` of `total` steps of a phase; a new phase starts its own clock.
+
+        Raises: Stopped after a signal.
+        """
+        self._show(phase, done, total, text)
+        self.stop.check()
+
+    def _show(self, phase: str, done: int, total: int, text: str) -> None:
         now = time.monotonic()
         if phase != self._phase:
             self._close()

@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from mpdt.errors import FormatError
 from mpdt.train.evaluate.score import MEAN, Score
-from mpdt.train.run.show import scores_in
+from mpdt.train.run.results import scores_in
 
 # Both are made parts of paths.
 Name = Annotated[str, Meta(pattern=r"\A\w[\w.+-]*\Z")]

@@ -20,15 +20,14 @@ import numpy as np
 from mpdt.disk import disk
 from mpdt.errors import MissingFileError, MpdtError
 from mpdt.train.evaluate.score import write_atomic
-from mpdt.train.fit.data import load_material
-from mpdt.train.fit.log import MetricsLog
 from mpdt.train.run.config import TrainConfig, from_plain, to_plain
-from mpdt.train.run.identity import identify, plain_settings
+from mpdt.train.run.folder import locate
+from mpdt.train.run.identity import plain_settings
 from mpdt.train.run.methods import apply_method, merge
 from mpdt.train.run.pipeline import run_pipeline
+from mpdt.train.run.prepare import Prepared, prepare
 from mpdt.train.run.presets import get_preset
 from mpdt.train.run.progress import Progress
-from mpdt.train.run.stop import StopRequest
 from mpdt.train.study.maps import KEPT, keep_prompts
 from mpdt.train.study.plans import Cell
 
@@ -75,33 +74,32 @@ def inspect_cell(cell: Cell, places: Places) -> Outcome:
 
     A file or setting that is refused makes it `failed`.
     """
-    try:
-        return _look_at(cell, places)
-    except MpdtError as error:
-        return Outcome(cell, "failed", error.message())
+    return _look_at(cell, places)[0]
 
 
-def _look_at(cell: Cell, places: Places) -> Outcome:
-    config = configure(cell)
+def _look_at(cell: Cell, places: Places) -> tuple[Outcome, Prepared | None]:
+    """The outcome, and what a run of the cell would begin with, where there is something."""
     stored = _read(places.result(cell))
     try:
-        identity = identify(config, load_material(str(places.file(cell)), config.quality))
-    except MissingFileError:
-        if stored is not None and stored.get("config_hash") == config_hash(config):
-            return Outcome(cell, "done", "data file not here: content not compared")
-        return Outcome(cell, "no data", str(places.file(cell)))
-    if stored is not None and stored.get("identity") == identity.hashes:
-        return Outcome(cell, "done")
+        config = configure(cell)
+        try:
+            prepared = prepare(config, str(places.file(cell)))
+        except MissingFileError:
+            if stored is not None and stored.get("config_hash") == config_hash(
+                plain_settings(config)
+            ):
+                return Outcome(cell, "done", "data file not here: content not compared"), None
+            return Outcome(cell, "no data", str(places.file(cell))), None
+    except MpdtError as error:
+        return Outcome(cell, "failed", error.message()), None
+    if stored is not None and stored.get("identity") == prepared.identity.hashes:
+        return Outcome(cell, "done"), prepared
     note = "" if stored is None else "its result is of other settings or data"
-    return Outcome(cell, "to do", note)
+    return Outcome(cell, "to do", note), prepared
 
 
 def run_study(
-    cells: Sequence[Cell],
-    places: Places,
-    progress: Progress,
-    stop: StopRequest,
-    restart: bool = False,
+    cells: Sequence[Cell], places: Places, progress: Progress, restart: bool = False
 ) -> Iterator[Outcome]:
     """Each cell's outcome as it comes. Raises: Stopped after a signal; the next call goes on.
 
@@ -109,11 +107,13 @@ def run_study(
         restart: begin every cell anew, the done ones too.
     """
     for cell in cells:
-        outcome = inspect_cell(cell, places)
-        if outcome.state == "to do" or (restart and outcome.state == "done"):
+        outcome, prepared = _look_at(cell, places)
+        if prepared is None and restart and outcome.state == "done":
+            outcome = Outcome(cell, "no data", str(places.file(cell)))
+        if prepared is not None and (restart or outcome.state == "to do"):
             progress.say(f"{cell.name} {outcome.note}".rstrip())
             try:
-                _run_cell(cell, places, progress, stop, restart)
+                _run_cell(cell, prepared, places, progress, restart)
                 outcome = Outcome(cell, "done")
             except MpdtError as error:
                 progress.say(error.render())
@@ -122,28 +122,26 @@ def run_study(
 
 
 def _run_cell(
-    cell: Cell, places: Places, progress: Progress, stop: StopRequest, restart: bool
+    cell: Cell, prepared: Prepared, places: Places, progress: Progress, restart: bool
 ) -> None:
-    config = configure(cell)
-    results = run_pipeline(
-        str(places.file(cell)), config, places.runs, cell.name, restart, progress, stop
-    )
-    log = MetricsLog(places.runs / cell.name / "metrics.jsonl").records()
+    folder = locate(places.runs, cell.name)
+    results = run_pipeline(prepared, folder, progress, "restart" if restart else "continue")
+    log = folder.log.records()
     extra = {
         "cell": cell.name,
-        "config_hash": config_hash(config),
+        "config_hash": config_hash(prepared.plain),
         "curve": _curve(log),
         "inferred": {r["task"]: r["weights"] for r in log if r.get("phase") == "infer"},
     }
     with disk(places.results):
         places.results.mkdir(parents=True, exist_ok=True)
-    keep_prompts(places.runs / cell.name / "weights.safetensors", places.prompts(cell))
+    keep_prompts(folder.weights, places.prompts(cell))
     write_atomic(places.result(cell), encode_cell(results | extra))
 
 
-def config_hash(config: TrainConfig) -> str:
-    """SHA-256 over all settings; whatever it was put together from."""
-    text = json.dumps(plain_settings(config), sort_keys=True, separators=(",", ":"))
+def config_hash(plain: Mapping[str, Any]) -> str:
+    """SHA-256 over what counts of the settings; whatever it was put together from."""
+    text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -19,7 +19,7 @@ from mpdt.train.evaluate.score import (
     with_verdicts,
     write_atomic,
 )
-from mpdt.train.run.show import scores_in
+from mpdt.train.run.results import scores_in
 
 
 def test_scores_by_hand():

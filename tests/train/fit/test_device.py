@@ -10,14 +10,13 @@ from mpdt.errors import UsageError
 from mpdt.model.backbone import load_backbone
 from mpdt.model.policy import PolicyBatch, PromptPolicy, action_loss
 from mpdt.model.prompts import DecomposedPrompts, TeacherPrompts
+from mpdt.seeding import phase_seed
 from mpdt.train.fit.checkpoint import Subject
 from mpdt.train.fit.data import load_material, return_table
 from mpdt.train.fit.device import PROCESSOR, Hardware, HardwareSettings
 from mpdt.train.fit.loop import OptimiserSettings, Update, fit, make_optimizer
 from mpdt.train.fit.teacher import Teacher, TeacherSettings
 from mpdt.train.run.presets import smoke
-from mpdt.train.run.progress import Progress
-from mpdt.train.run.trainer import Trainer
 
 CONFIG = smoke()
 OPTIMISER = OptimiserSettings(warmup_steps=3)
@@ -47,7 +46,7 @@ def losses(material, hardware, steps=4, dtype="float32"):
 
 
 def sampler(material):
-    return Trainer(material, CONFIG, None, None, Progress(True), None).sampler("student")
+    return material.sampler(CONFIG.sampler, phase_seed(CONFIG.seed, "student"))
 
 
 @pytest.fixture(scope="module")

@@ -55,8 +55,6 @@ def run_updates(path: Path, group: Group) -> dict[str, object]:
     from mpdt.train.fit.loop import OptimiserSettings, Update, fit, make_optimizer
     from mpdt.train.fit.teacher import Teacher, TeacherSettings
     from mpdt.train.run.presets import smoke
-    from mpdt.train.run.progress import Progress
-    from mpdt.train.run.trainer import Trainer
 
     torch.set_num_threads(1)
     config, material = smoke(), load_material(str(path), "expert")
@@ -67,7 +65,7 @@ def run_updates(path: Path, group: Group) -> dict[str, object]:
     settings = OptimiserSettings(warmup_steps=1, lr=1e-2)
     taught = TeacherPrompts(config.prompts, 2, backbone.width, 0.2)
     found: list[dict[str, float]] = []
-    sampler = Trainer(material, config, None, None, Progress(True), None).sampler("student")
+    sampler = material.sampler(config.sampler, 1)
     update = Update(policy, prompts, return_table(material, "task", 0.9), sampler.seed,
                     Teacher(policy, taught, TeacherSettings()), 0.01,
                     Hardware(HardwareSettings(), group))  # fmt: skip

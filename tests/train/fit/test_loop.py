@@ -22,8 +22,6 @@ from mpdt.train.fit.loop import (
 )
 from mpdt.train.fit.teacher import Teacher, TeacherSettings
 from mpdt.train.run.presets import smoke
-from mpdt.train.run.progress import Progress
-from mpdt.train.run.trainer import Trainer
 
 CONFIG = smoke()
 OPTIMISER = OptimiserSettings(warmup_steps=3)
@@ -47,7 +45,7 @@ def make_subject(material, backbone, kind=DecomposedPrompts, optimiser=OPTIMISER
 
 
 def train(material, subject, first, last, on_step=lambda done, parts: False, **options):
-    sampler = Trainer(material, CONFIG, None, None, Progress(True), None).sampler("student")
+    sampler = material.sampler(CONFIG.sampler, 1)
     returns = return_table(material, "task", 0.9)
     update = Update(subject.policy, subject.prompts, returns, sampler.seed, **options)
     return fit(update, sampler, subject.optimizer, OPTIMISER, range(first, last), on_step)
@@ -86,10 +84,9 @@ def test_training_lowers_the_loss_and_leaves_the_backbone_alone(material, backbo
 def test_a_teachers_prompt_learns_from_its_own_task_alone(material, backbone):
     """The gradient of prompt 0 must not depend on task 1's windows: task 1's is zero alone."""
     subject = make_subject(material, backbone, TeacherPrompts)
-    trainer = Trainer(material, CONFIG, None, None, Progress(True), None)
     from mpdt.model.policy import PolicyBatch, action_loss
 
-    windows = trainer.sampler("teacher").batch(0)
+    windows = material.sampler(CONFIG.sampler, 2).batch(0)
     batch = PolicyBatch.from_windows(windows)
     returns = return_table(material, "task", 0.9)
     output = subject.policy(batch, subject.prompts.task_prompts(), returns)

@@ -11,9 +11,6 @@ from mpdt.model.prompts import PromptSettings, TeacherPrompts
 from mpdt.train.fit.data import load_material
 from mpdt.train.fit.teacher import Teacher, TeacherSettings, missed_variance
 from mpdt.train.run.presets import smoke
-from mpdt.train.run.progress import Progress
-from mpdt.train.run.stop import StopRequest
-from mpdt.train.run.trainer import Trainer
 
 
 def test_missed_variance_by_hand():
@@ -47,22 +44,20 @@ def test_prompt_target_by_hand():
 
 
 def test_equal_policies_have_no_mpt_loss_and_the_teacher_stays_as_it_was(tiny_file):
-    trainer = Trainer(
-        load_material(str(tiny_file), "expert"), smoke(), None, None, Progress(True), StopRequest()
-    )
+    config, material = smoke(), load_material(str(tiny_file), "expert")
     from mpdt.model.backbone import load_backbone
     from mpdt.model.policy import PromptPolicy
     from mpdt.train.fit.data import return_table
 
     backbone = load_backbone("random:tiny", dtype="float32")
-    config, stats = trainer.config, trainer.material.dataset.stats["observations"]
+    stats = material.dataset.stats["observations"]
     policy = PromptPolicy(backbone, config.inputs, config.head, stats["mean"], stats["std"], 6)
     prompts = TeacherPrompts(config.prompts, 2, backbone.width, 1.0)
     teacher = Teacher(policy, prompts, TeacherSettings())
     assert teacher.needs_features
-    windows = trainer.sampler("student").batch(0)
+    windows = material.sampler(config.sampler, 1).batch(0)
     batch, slots = PolicyBatch.from_windows(windows), torch.from_numpy(windows.slots)
-    returns = return_table(trainer.material, "task", 0.9)
+    returns = return_table(material, "task", 0.9)
 
     def loss():
         own = prompts.task_prompts(slots)

@@ -10,7 +10,7 @@ from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.train.fit.data import load_material
 from mpdt.train.fit.reward import RewardSettings
 from mpdt.train.run.config import TrainConfig, to_plain
-from mpdt.train.run.identity import identify
+from mpdt.train.run.identity import identify, plain_settings
 
 
 def with_dataset(material, **changes):
@@ -67,9 +67,13 @@ def material(tiny_file):
     return load_material(str(tiny_file), "auto")
 
 
+def identity_of(config, material):
+    return identify(config, plain_settings(config), material)
+
+
 def changed(config, material, config2, material2):
     """Names of the parts that differ."""
-    one, two = identify(config, material), identify(config2, material2)
+    one, two = identity_of(config, material), identity_of(config2, material2)
     return {part for part in one.hashes if one.hashes[part] != two.hashes[part]}
 
 

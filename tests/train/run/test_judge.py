@@ -17,32 +17,31 @@ from mpdt.data.reference import References
 from mpdt.data.sim.actors import UniformPolicy, ZeroPolicy
 from mpdt.model.prompts import AdaptedPrompts, PromptSettings, SharedPrompt
 from mpdt.model.returns import ReturnTable
-from mpdt.train.adapt import candidates as unseen
-from mpdt.train.adapt.candidates import UnseenTasks
+from mpdt.train.adapt import candidates
+from mpdt.train.adapt.candidates import Candidates
 from mpdt.train.evaluate.rollout import Evaluation, evaluate
 from mpdt.train.evaluate.score import MEAN
 from mpdt.train.fit.data import Material, load_material
+from mpdt.train.fit.trained import Trained
 from mpdt.train.run import judge
 from mpdt.train.run.judge import Judge
 from mpdt.train.run.presets import smoke
+from mpdt.train.run.progress import Progress
 
 ONE = SharedPrompt(PromptSettings(kind="shared", length=1), 2, 4, 1.0)
 
 
-def make_judge(tiny_file, horizon=0, returns="constant", sampler=None):
+def make_judge(tiny_file, horizon=0, returns="constant"):
     config = smoke()
     config = msgspec.structs.replace(
         config,
         evaluation=msgspec.structs.replace(config.evaluation, horizon=horizon, seed=3),
         adapt=msgspec.structs.replace(config.adapt, returns=returns),
     )
-    trainer = SimpleNamespace(
-        material=load_material(str(tiny_file), "expert"), config=config, sampler=sampler,
-        stop=SimpleNamespace(check=lambda: None),
-        progress=SimpleNamespace(update=lambda *_: None),
-    )  # fmt: skip
-    trained = SimpleNamespace(policy=None, prompts=None, returns=None)
-    return Judge(trainer, trained)
+    material = load_material(str(tiny_file), "expert")
+    returns = ReturnTable(*(torch.ones(2) for _ in range(4)))
+    trained = Trained(None, ONE, returns, material, {}, {})
+    return Judge(trained, config, Progress(quiet=True))
 
 
 def test_trivial_policies_are_run_on_the_evaluation_seeds_at_any_horizon(tiny_file):
@@ -50,7 +49,7 @@ def test_trivial_policies_are_run_on_the_evaluation_seeds_at_any_horizon(tiny_fi
     subject = make_judge(tiny_file, horizon=4)
     scores = subject._references("train", (0, 1), None)
     found = {(s.method, s.task): s for s in scores}
-    family = subject.trainer.material.family
+    family = subject.trained.material.family
     by_hand = {
         "zero action": ZeroPolicy(6),
         "random": UniformPolicy(6, -1.0, 1.0),
@@ -86,20 +85,17 @@ def played(monkeypatch):
     fake = Played()
     monkeypatch.setattr(judge, "evaluate", fake)
     monkeypatch.setattr(Judge, "_constant_action", lambda self: np.zeros(6, np.float32))
-    monkeypatch.setattr(UnseenTasks, "controller", lambda self, *_: SimpleNamespace())
-    monkeypatch.setattr(UnseenTasks, "_statistics", lambda self: None)
-    monkeypatch.setattr(UnseenTasks, "_adapt", lambda self, *_: None)
-    monkeypatch.setattr(UnseenTasks, "_start", lambda self, _: AdaptedPrompts(ONE, "cross", 2))
+    monkeypatch.setattr(Candidates, "controller", lambda self, *_: SimpleNamespace())
+    monkeypatch.setattr(Candidates, "_statistics", lambda self: None)
+    monkeypatch.setattr(Candidates, "_adapt", lambda self, *_: None)
+    monkeypatch.setattr(Candidates, "_start", lambda self, _: AdaptedPrompts(ONE, "cross", 2))
     return fake
 
 
 @pytest.fixture
 def judged(played, tiny_file):
     def scores(**options):
-        subject = make_judge(tiny_file, **options)
-        subject.trained.prompts = ONE
-        subject.trained.returns = ReturnTable(*(torch.ones(2) for _ in range(4)))
-        return subject.scores()
+        return make_judge(tiny_file, **options).scores()
 
     return scores
 
@@ -130,10 +126,11 @@ def test_other_test_tasks_are_run_by_themselves(judged, played, monkeypatch):
 def test_the_constant_action_is_the_one_in_the_file(tiny_file):
     subject = make_judge(tiny_file)
     assert subject._constant_action().tolist() == [0, 1, 0, 0, 0, 0]
-    material = subject.trainer.material
+    material = subject.trained.material
     tasks = material.dataset.tasks
     unknown = replace(tasks, references=tuple(References(r.by_name) for r in tasks.references))
-    subject.trainer.material = replace(material, dataset=replace(material.dataset, tasks=unknown))
+    bare = replace(material, dataset=replace(material.dataset, tasks=unknown))
+    subject.trained = replace(subject.trained, material=bare)
     assert subject._constant_action() is None
 
 
@@ -171,9 +168,9 @@ def test_knowing_the_task_is_told_where_only_the_goal_is_unseen(judged, monkeypa
 def test_statistics_show_episodes_evenly(tiny_file, monkeypatch):
     """X is covered once per step, so the source must not favour the beginning of episodes."""
     drawn = SimpleNamespace(start_bias=30)
-    subject = make_judge(tiny_file, sampler=lambda phase, ids: drawn)
-    subject.trained.returns = ReturnTable(*(torch.ones(2) for _ in range(4)))
+    subject = make_judge(tiny_file)
+    monkeypatch.setattr(Material, "sampler", lambda *_: drawn)
     monkeypatch.setattr(
-        unseen, "source_statistics", lambda policy, prompts, sampler, *_: sampler.start_bias
+        candidates, "source_statistics", lambda policy, prompts, sampler, *_: sampler.start_bias
     )
-    assert UnseenTasks(subject.trainer, subject.trained)._statistics() == 0
+    assert Candidates(subject.trained, subject.config)._statistics() == 0

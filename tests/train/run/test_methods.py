@@ -16,14 +16,14 @@ from mpdt.model.policy import PolicyBatch
 from mpdt.model.weights import load_weights
 from mpdt.train.adapt import candidates as unseen
 from mpdt.train.fit.data import load_material, sample_demonstrations
+from mpdt.train.run.build import build
 from mpdt.train.run.config import TrainConfig, to_plain
 from mpdt.train.run.folder import locate
 from mpdt.train.run.methods import METHODS, apply_method, merge
 from mpdt.train.run.pipeline import run_pipeline
+from mpdt.train.run.prepare import prepare
 from mpdt.train.run.presets import base, paper, smoke
 from mpdt.train.run.progress import Progress
-from mpdt.train.run.stop import StopRequest
-from mpdt.train.run.trainer import Trainer
 
 TINY = {
     "backbone": {"name": "random:tiny"}, "evaluation": {"horizon": 3, "episodes": 1},
@@ -51,7 +51,7 @@ def tiny(method: str) -> TrainConfig:
 
 
 def run(config: TrainConfig, file: Path, folder: Path) -> dict:
-    return run_pipeline(str(file), config, folder, "r", False, Progress(quiet=True), StopRequest())
+    return run_pipeline(prepare(config, str(file)), locate(folder, "r"), Progress(quiet=True))
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -97,11 +97,10 @@ def test_merge_by_hand():
 
 
 def trained_names(method: str, file: Path) -> set[str]:
-    config, material = tiny(method), load_material(str(file), "expert")
-    trainer = Trainer(material, config, from_settings(config.backbone), None, None, None)  # type: ignore[arg-type]
-    trainer.prepare()
-    policy = {f"policy.{n}" for n, p in trainer.policy.named_parameters() if p.requires_grad}
-    return policy | {n for n, p in trainer.prompts.named_parameters() if p.requires_grad}
+    config = tiny(method)
+    learner = build(prepare(config, str(file)), from_settings(config.backbone))
+    policy = {f"policy.{n}" for n, p in learner.policy.named_parameters() if p.requires_grad}
+    return policy | {n for n, p in learner.prompts.named_parameters() if p.requires_grad}
 
 
 def test_who_trains_what(tiny_file):

@@ -10,7 +10,7 @@ import pytest
 from mpdt.train.fit.data import load_material
 from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.folder import claimed, locate
-from mpdt.train.run.identity import identify
+from mpdt.train.run.prepare import prepare
 
 from .command import QUICK, call, names_in
 
@@ -94,23 +94,20 @@ class Pair:
 
 def test_a_finished_run_ends_every_process(again, monkeypatch):
     from mpdt.train.run import pipeline
+    from mpdt.train.run.folder import RunFolder
     from mpdt.train.run.progress import Progress
-    from mpdt.train.run.stop import StopRequest
 
     folder, arguments = again
     pair = Pair()
     monkeypatch.setattr(pipeline.Group, "join", lambda: pair)
-    config = TrainConfig()
-    found = pipeline.run_pipeline(str(arguments[1]), config, folder.parent, "r", False,
-                                  Progress(True), StopRequest())  # fmt: skip
+    prepared = prepare(TrainConfig(), str(arguments[1]))
+    found = pipeline.run_pipeline(prepared, RunFolder(folder.parent / "r"), Progress(True))
     assert found == {} and pair.left and not (folder.parent / "r.rank-1").exists()
 
 
 def test_other_data_judge_anew_or_are_refused(again, finished, monkeypatch, capsys):
     """The same settings on a file whose presets, then whose statistics differ."""
     from dataclasses import replace
-
-    from mpdt.train.run import pipeline
 
     _, arguments = again
 
@@ -119,7 +116,7 @@ def test_other_data_judge_anew_or_are_refused(again, finished, monkeypatch, caps
             material = load_material(*args)
             return replace(material, dataset=replace(material.dataset, **change(material.dataset)))
 
-        monkeypatch.setattr(pipeline, "load_material", load)
+        monkeypatch.setattr("mpdt.train.run.prepare.load_material", load)
 
     def other_presets(dataset):
         x = dataset.tta["default"]
@@ -219,7 +216,7 @@ def test_a_cut_student_keeps_its_teacher(tiny_file, finished, tmp_path, monkeypa
 
 def test_a_second_process_is_refused_by_name(again, tiny_file, capsys):
     folder, arguments = again
-    identity = identify(TrainConfig(), load_material(str(tiny_file), "auto"))
+    identity = prepare(TrainConfig(), str(tiny_file)).identity
     own = locate(folder.parent, "new")
     with claimed(own, identity, restart=False):
         assert call(*arguments[:-1], "new", "--restart") == 4
@@ -274,14 +271,12 @@ def test_the_published_protocol_has_no_path_to_rewards(again, tiny_file, other_r
 def test_another_family_or_other_episodes_are_named(again, tiny_file, monkeypatch, capsys):
     from dataclasses import replace
 
-    from mpdt.train.run import pipeline
-
     def load_with(**changes):
         def load(*args):
             material = load_material(*args)
             return replace(material, dataset=replace(material.dataset, **changes))
 
-        monkeypatch.setattr(pipeline, "load_material", load)
+        monkeypatch.setattr("mpdt.train.run.prepare.load_material", load)
 
     folder, _ = again
     load_with(family="cheetah_vel")

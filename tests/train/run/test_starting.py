@@ -13,7 +13,8 @@ from mpdt.errors import FormatError, StorageError, TrainingError
 from mpdt.train.fit.data import load_material
 from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.folder import FORMAT, claimed, inspect, locate, stored_settings
-from mpdt.train.run.identity import Identity, identify
+from mpdt.train.run.identity import Identity
+from mpdt.train.run.prepare import prepare
 
 from .command import QUICK, call, names_in
 
@@ -70,7 +71,7 @@ def test_a_full_disk_leaves_no_folder(tiny_file, tmp_path, monkeypatch, capsys):
 def test_a_kill_in_the_first_moment_does_not_block_the_name(
     tiny_file, tmp_path, leftover, monkeypatch
 ):
-    identity = identify(TrainConfig(), load_material(str(tiny_file), "auto"))
+    identity = prepare(TrainConfig(), str(tiny_file)).identity
     own = locate(tmp_path, "r")
     own.path.mkdir()
     (own.path / leftover).write_text("1")
@@ -88,7 +89,7 @@ def test_a_kill_in_the_first_moment_does_not_block_the_name(
 )  # fmt: skip
 def test_a_damaged_configuration_is_one_error(tiny_file, tmp_path, damage, told):
     """Of a run that goes on, and of one that is adapted."""
-    identity = identify(TrainConfig(), load_material(str(tiny_file), "auto"))
+    identity = prepare(TrainConfig(), str(tiny_file)).identity
     own = locate(tmp_path, "r")
     own.path.mkdir()
     whole = {"format": FORMAT, "training": {"data": {}}, "judging": {"data": {}}}
@@ -132,10 +133,9 @@ def test_ctrl_c_while_libraries_are_imported(tiny_file):
 def test_one_training_task_is_too_few_for_a_shared_prompt(tiny_file, tmp_path, monkeypatch, capsys):
     from dataclasses import replace
 
-    from mpdt.train.run import pipeline
-
     monkeypatch.setattr(
-        pipeline, "load_material", lambda *a: replace(load_material(*a), train_rows=(0,))
+        "mpdt.train.run.prepare.load_material",
+        lambda *a: replace(load_material(*a), train_rows=(0,)),
     )
     arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "one"]
     assert call(*arguments) == 1

@@ -10,7 +10,6 @@ from mpdt.errors import FormatError, UsageError
 from mpdt.train.cli import main
 from mpdt.train.evaluate.score import MEAN, Score, encode_results
 from mpdt.train.run.progress import Progress
-from mpdt.train.run.stop import StopRequest
 from mpdt.train.study import plans as studies
 from mpdt.train.study.plans import STUDIES, Cell, get_study
 from mpdt.train.study.study import Places, configure, encode_cell, inspect_cell, run_study
@@ -41,7 +40,7 @@ def places(tiny_file, tmp_path):
 
 
 def states(cells, places, restart=False):
-    outcomes = run_study(cells, places, Progress(quiet=True), StopRequest(), restart)
+    outcomes = run_study(cells, places, Progress(quiet=True), restart)
     return [(outcome.cell.name, outcome.state) for outcome in outcomes]
 
 

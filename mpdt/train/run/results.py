@@ -1,0 +1,127 @@
+"""results.json of a run: what stands in it, and how it is read, found again and set aside."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from mpdt.errors import FormatError, MissingFileError
+from mpdt.train.evaluate.score import Score
+from mpdt.train.fit.trained import Trained
+from mpdt.train.run.config import to_plain
+from mpdt.train.run.folder import RunFolder
+from mpdt.train.run.prepare import Prepared
+
+FORMAT = "mpdt-results/1"
+VERSIONED = ("mpdt", "torch", "transformers", "numpy", "mujoco", "metaworld")
+
+
+class RunHeader(msgspec.Struct, frozen=True):
+    """What is looked at of results.json beside its scores; other keys may stand there too."""
+
+    data: dict[str, Any] = {}
+    config: dict[str, Any] = {}
+    backbone: dict[str, Any] = {}
+    num_trainables: int = 0
+    updates: dict[str, int] = {}
+    updates_asked: dict[str, int] = {}
+    complete: bool = True
+
+
+def results_header(
+    name: str, prepared: Prepared, trained: Trained, seconds: Mapping[str, float]
+) -> dict[str, Any]:
+    """All of results.json but the scores.
+
+    Args:
+        seconds: wall time by part.
+    """
+    material, config, backbone = trained.material, prepared.config, trained.policy.backbone
+    dataset = material.dataset
+    return {
+        "format": FORMAT,
+        "name": name,
+        "data": {
+            "file": dataset.path.name,
+            "name": dataset.name,
+            "version": dataset.version,
+            "content_hash": dataset.content_hash,
+            "slice": material.slice,
+            "quality": material.quality,
+            "horizon": config.evaluation.horizon or material.horizon,
+        },
+        "backbone": {
+            "name": backbone.name,
+            "num_layers": backbone.num_layers,
+            "width": backbone.width,
+            "fingerprint": backbone.fingerprint,
+            "dtype": str(backbone.dtype).removeprefix("torch."),
+        },
+        "num_trainables": trained.num_trainables,
+        "updates": dict(trained.steps),
+        "updates_asked": dict(trained.asked),
+        "complete": trained.complete,
+        "seconds": {phase: round(value, 1) for phase, value in seconds.items()},
+        "versions": {name: version(name) for name in VERSIONED},
+        "config": to_plain(config),
+        "identity": prepared.identity.hashes,
+    }
+
+
+def read_results(folder: Path) -> dict[str, Any]:
+    """results.json of a run's folder. Raises: MissingFileError, FormatError."""
+    path = folder / "results.json"
+    if not path.exists():
+        raise MissingFileError(
+            "no results here",
+            where=str(path),
+            hint="a run writes them at its end; the same command continues it",
+        )
+    try:
+        results = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+        msgspec.convert(results, RunHeader)
+        scores_in(results)
+    except (ValueError, KeyError) as error:
+        raise FormatError("not the results of a run", where=str(path), found=str(error)) from error
+    return results
+
+
+def find_results(folder: Path, identity: Mapping[str, str]) -> dict[str, Any] | None:
+    """results.json if it is that of a finished run of this identity; damaged ones do not count."""
+    try:
+        results = read_results(folder)
+    except (MissingFileError, FormatError, OSError):
+        return None
+    same = results.get("identity") == dict(identity) and results.get("complete") is True
+    return results if same else None
+
+
+def set_aside(folder: RunFolder) -> None:
+    """Make room for new results: finished ones are kept under judged/, all others go."""
+    with suppress(MissingFileError, FormatError):
+        results = read_results(folder.path)
+        identity = results.get("identity")
+        judging = str(identity.get("judging")) if isinstance(identity, dict) else ""
+        if re.fullmatch("[0-9a-f]{64}", judging) and results.get("complete") is True:
+            kept = folder.judged(judging)
+            kept.parent.mkdir(exist_ok=True)
+            folder.results.replace(kept)
+    folder.results.unlink(missing_ok=True)
+
+
+def scores_in(results: Mapping[str, Any]) -> list[Score]:
+    """The scores of results.json; null is nan again."""
+    rows = [
+        {
+            key: float("nan") if value is None and key != "success" else value
+            for key, value in row.items()
+        }
+        for row in msgspec.convert(results["scores"], list[dict[str, Any]])
+    ]
+    return msgspec.convert(rows, list[Score])
