@@ -11,7 +11,7 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
-from mpdt.errors import DataError, FormatError, MissingFileError, StorageError
+from mpdt.errors import FormatError, MissingFileError, StorageError
 
 TEXT_BYTES = 64 << 20
 """Of a file of text; the lock of 500 tasks has 1 MB."""
@@ -60,17 +60,18 @@ def open_plain(path: Path) -> BinaryIO:
 def read_plain(path: Path, limit: int = TEXT_BYTES) -> bytes:
     """The bytes of a plain file of at most `limit` bytes.
 
-    Raises: as `open_plain`; DataError for a larger one.
+    Raises: as `open_plain`; FormatError for a larger one.
     """
     with open_plain(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
         try:
-            content = stream.read(limit + 1)
+            content = b"" if size > limit else stream.read(limit + 1)
         except OSError as error:
             raise StorageError("cannot be read", where=str(path), found=str(error)) from error
-    if len(content) > limit:
-        raise DataError("too large for what it is", where=str(path),
-                        expected=f"at most {limit:,} bytes",
-                        found=f"{path.stat().st_size:,}")  # fmt: skip
+    if max(size, len(content)) > limit:
+        raise FormatError("larger than any file of its kind", where=str(path),
+                          expected=f"at most {limit:,} bytes",
+                          found=f"{max(size, len(content)):,}")  # fmt: skip
     return content
 
 

@@ -58,11 +58,15 @@ def open_dataset(path: Path | str, preload: bool = False) -> Dataset:
     return read_file(Path(path), preload=preload)
 
 
-def open_tta_rewards(path: Path | str, name: str) -> tuple[tables.Float32, tables.Bool | None]:
+def open_tta_rewards(
+    path: Path | str, name: str, checked: bool = True
+) -> tuple[tables.Float32, tables.Bool | None]:
     """What the simulator said about a TTA set: rewards (N,), successes (N,) or None.
 
     The published zero-shot protocol does not read them; `verify` and protocols that say so do.
 
+    Args:
+        checked: False for `verify`, as in `read_file`.
     Raises: as `open_dataset`; UsageError for an unknown set.
     """
     path = Path(path)
@@ -70,7 +74,8 @@ def open_tta_rewards(path: Path | str, name: str) -> tuple[tables.Float32, table
         tree, group, sizes = file.tree, f"tta/{name}", dict[str, int]()
         if name not in (sets := tree.names("tta")):
             raise unknown_name("TTA set", name, sets, where=str(path))
-        check_tree(tree, path)
+        if checked:
+            check_tree(tree, path)
         tree.columns(f"{group}/steps", layout.TTA_STEPS, sizes)
         found = tree.columns(group, layout.TTA_SIMULATOR, sizes)
         successes = found["sim_successes"].values if "sim_successes" in found else None
