@@ -37,6 +37,7 @@ from mpdt.data.sim.references import (
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Task, get_family
 from mpdt.data.workers.processes import map_blocks
+from mpdt.pace import Pace
 
 FIRST = 20  # episodes before the first decision
 CAP = 1280
@@ -216,7 +217,7 @@ def measure(
                 for count, (portion, scores) in enumerate(answers, 1):
                     campaign.take(portion, scores)
                     clock.steps += portion.steps
-                    if clock.is_time() or count == len(portions):
+                    if clock.pace.is_time(anyway=count == len(portions)):
                         save_entries(target, (book | campaign.entries).values(), RULE)
                         left = clock.text(campaign.steps_left())
                         on_progress(
@@ -252,14 +253,7 @@ class _Clock:
 
     steps: int = 0
     start: float = field(default_factory=time.monotonic)
-    last: float = field(default_factory=time.monotonic)
-
-    def is_time(self) -> bool:
-        now = time.monotonic()
-        if now - self.last < SAVE_EVERY_S:
-            return False
-        self.last = now
-        return True
+    pace: Pace = field(default_factory=lambda: Pace(SAVE_EVERY_S))
 
     def text(self, steps_left: int) -> str:
         rate = self.steps / max(1e-9, time.monotonic() - self.start)
