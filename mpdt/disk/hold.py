@@ -18,6 +18,7 @@ import errno
 import fcntl
 import logging
 import os
+import shlex
 import shutil
 import stat
 import threading
@@ -103,6 +104,9 @@ def holding(
     """
     with disk(target):
         path = real_path(target)
+        if not path.parent.is_dir():
+            raise StorageError("folder does not exist", where=str(target.parent),
+                               hint=f"mkdir -p {shlex.quote(str(target.parent))}")  # fmt: skip
         holds: dict[Path, Hold] = _mine.__dict__.setdefault("holds", {})
         cover = next((holds[p] for p in (path, *path.parents) if p in holds), None)
         if cover is not None and cover.pid != os.getpid():  # a forked child holds nothing
@@ -138,7 +142,7 @@ def holding(
 def written_meanwhile(target: Path) -> BusyError:
     return BusyError("another process wrote it meanwhile", where=str(target),
                      hint="what it wrote is there, untouched; look at it, then choose another "
-                          "name with -o or the same command again")  # fmt: skip
+                          "name, or give the same command again")  # fmt: skip
 
 
 def real_path(target: Path) -> Path:
@@ -146,7 +150,7 @@ def real_path(target: Path) -> Path:
     path = Path(os.path.realpath(target))
     if path.is_symlink():
         raise StorageError("links that lead nowhere", where=str(target),
-                           hint=f"delete {target}, or choose another name with -o")  # fmt: skip
+                           hint=f"delete {target}, or choose another name")  # fmt: skip
     return path
 
 
@@ -196,8 +200,9 @@ def _look_at(lock: Path, target: Path) -> tuple[bool, Holder | None]:
     except FileNotFoundError:
         return True, None
     except OSError as error:
-        if error.errno == errno.ELOOP:
-            raise _in_the_way(lock, "a link") from error
+        if error.errno in (errno.ELOOP, errno.EISDIR):
+            found = "a link" if error.errno == errno.ELOOP else "a folder"
+            raise _in_the_way(lock, found) from error
         raise
     try:
         if not stat.S_ISREG(os.fstat(handle).st_mode):

@@ -36,11 +36,11 @@ def _explain(error: OSError | RuntimeError) -> tuple[str, str]:
     """What is wrong, and what to do next."""
     code, text = getattr(error, "errno", None), str(error)
     if code in _FULL or any(part in text for part in _FULL_TEXTS):
-        return "the disk is full", "make room there, or choose another folder with -o"
+        return "the disk is full", "make room there, or choose another folder"
     if code == _READ_ONLY or _READ_ONLY_TEXT in text:
-        return "the disk is read-only", "choose another folder with -o"
+        return "the disk is read-only", "choose another folder"
     if code in _FORBIDDEN or any(part in text for part in _FORBIDDEN_TEXTS):
         return "no permission to write", (
-            "choose another folder with -o, or ask whoever owns it (ls -ld shows who)"
+            "choose another folder, or ask whoever owns it (ls -ld shows who)"
         )
-    return "cannot be written", "choose another folder or name with -o"
+    return "cannot be written", "choose another folder or name"

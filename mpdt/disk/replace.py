@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mpdt.disk.content import sync, sync_tree
-from mpdt.disk.hold import Hold, Seen, holding, real_path, written_meanwhile
+from mpdt.disk.hold import Seen, holding, written_meanwhile
 from mpdt.disk.refusal import disk
 from mpdt.errors import StorageError
 
@@ -34,17 +34,15 @@ def replacing(target: Path, *, amends: bool = False) -> Iterator[Path]:
     Raises: BusyError if another process holds `target` or wrote it since it was looked at;
         StorageError where the disk refuses.
     """
-    _check_place(target)
     with holding(target, amends=amends) as hold:
+        _check_kind(hold.path, target)
         temporary = hold.temporary
         with disk(target):
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
             os.close(os.open(temporary, flags, 0o666))
         try:
             yield temporary
-            with disk(target):
-                sync(temporary)
-                _put_file(hold, temporary, target)
+            put_file(temporary, target)
         except BaseException:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
@@ -58,24 +56,15 @@ def appearing(target: Path) -> Iterator[Path]:
     Raises: BusyError if something is at `target` or another process holds it; StorageError.
     """
     with holding(target) as hold:
+        if hold.found is not None:
+            raise written_meanwhile(target)
         temporary = hold.temporary
         with disk(target):
             temporary.mkdir()
         try:
             with disk(target):
                 yield temporary
-                sync_tree(temporary)
-                if hold.found is not None or Seen.at(hold.path) is not None:
-                    raise written_meanwhile(target)
-                try:
-                    # Never replaces a file, nor a folder that holds anything.
-                    temporary.rename(hold.path)
-                except OSError as error:
-                    if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
-                        raise written_meanwhile(target) from error
-                    raise
-                sync(hold.path.parent)
-                hold.found = Seen.at(hold.path)
+            put_folder(temporary, target)
         except BaseException:
             shutil.rmtree(temporary, ignore_errors=True)
             raise
@@ -92,38 +81,59 @@ def check_replaceable(target: Path) -> None:
 
     Raises: as `replacing`.
     """
-    _check_place(target)
     with holding(target, amends=True) as hold, disk(target):
+        _check_kind(hold.path, target)
         hold.temporary.touch(exist_ok=False)
         hold.temporary.unlink()
 
 
-def _check_place(target: Path) -> None:
+def _check_kind(path: Path, target: Path) -> None:
+    """Raises: StorageError unless there is a file or nothing."""
     with disk(target):
-        path = real_path(target)
-        if not path.parent.is_dir():
-            raise StorageError("folder does not exist", where=str(target.parent),
-                               hint=f"mkdir -p {target.parent}")  # fmt: skip
         if path.is_dir():
             raise StorageError("a folder is in the way", where=str(target),
-                               hint="choose another name with -o")  # fmt: skip
+                               hint="choose another name")  # fmt: skip
         if path.exists() and not path.is_file():
             raise StorageError("not a file, and nothing to replace", where=str(target),
                                found=stat.filemode(path.stat().st_mode),
-                               hint="choose another name with -o")  # fmt: skip
+                               hint="choose another name")  # fmt: skip
 
 
-def _put_file(hold: Hold, temporary: Path, target: Path) -> None:
-    """The last step: `temporary` becomes the target if that still is what it was."""
-    if Seen.at(hold.path) != hold.found:
-        raise written_meanwhile(target)
-    if hold.found is None:
-        _put_new(temporary, hold.path, target)
-    else:
-        _keep_owner(temporary, hold.path.stat())
-        temporary.replace(hold.path)
-    hold.found = Seen.at(hold.path)
-    sync(hold.path.parent)
+def put_file(temporary: Path, target: Path) -> None:
+    """The last step: a whole file beside the target takes its place, if that is what it was.
+
+    Raises: as `replacing`; then `temporary` is still there.
+    """
+    with holding(target) as hold, disk(target):
+        sync(temporary)
+        if Seen.at(hold.path) != hold.found:
+            raise written_meanwhile(target)
+        if hold.found is None:
+            _put_new(temporary, hold.path, target)
+        else:
+            _keep_owner(temporary, hold.path.stat())
+            temporary.replace(hold.path)
+        hold.found = Seen.at(hold.path)
+        sync(hold.path.parent)
+
+
+def put_folder(temporary: Path, target: Path) -> None:
+    """The last step: a whole folder beside the target gets its name, if nothing has it.
+
+    Raises: as `appearing`; then `temporary` is still there.
+    """
+    with holding(target) as hold, disk(target):
+        sync_tree(temporary)
+        if hold.found is not None or Seen.at(hold.path) is not None:
+            raise written_meanwhile(target)
+        try:
+            temporary.rename(hold.path)  # replaces no file, and no folder that holds anything
+        except OSError as error:
+            if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                raise written_meanwhile(target) from error
+            raise
+        hold.found = Seen.at(hold.path)
+        sync(hold.path.parent)
 
 
 def _put_new(temporary: Path, path: Path, target: Path) -> None:

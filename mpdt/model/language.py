@@ -21,7 +21,8 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from mpdt.errors import BackboneError, nearest
+from mpdt.disk import holding, replacing, sha256
+from mpdt.errors import BackboneError, BusyError, nearest
 from mpdt.model.hub import UnreachableError, is_local, quiet, unreachable
 from mpdt.seeding import layers_from
 
@@ -171,8 +172,7 @@ def _from_hub(name: str, depth: int | None) -> Any:
 
 def _smollm2(depth: int | None, dtype: torch.dtype) -> Any:
     file = _smollm2_file()
-    with file.open("rb") as stream:
-        source = hashlib.file_digest(stream, "sha256").hexdigest()
+    source = sha256(file)
     kind = str(dtype).removeprefix("torch.")
     cached = _cache_folder() / f"smollm2-135m-{source[:16]}-{depth or 'all'}-{kind}.safetensors"
     model = _read_cache(cached)
@@ -244,12 +244,9 @@ def _write_cache(path: Path, model: Any, dtype: torch.dtype) -> None:
     fields = {**model.config.to_dict(), "dtype": str(dtype).removeprefix("torch.")}
     fields.pop("quantization_config", None)  # what is written is dense
     header = {"config": json.dumps(fields), "fingerprint": _hash_tensors(tensors)}
-    partial = path.with_name(f"{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        save_file(tensors, partial, metadata=header)
-        partial.replace(path)
-    except (OSError, SafetensorError) as error:
-        with contextlib.suppress(OSError):
-            partial.unlink()
+        with holding(path, wait_s=0), replacing(path) as temporary:
+            save_file(tensors, temporary, metadata=header)
+    except (OSError, SafetensorError, BusyError) as error:
         _log.info("weights are not cached: %s", error)

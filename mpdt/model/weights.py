@@ -6,9 +6,7 @@ loaded into another backbone, other data or other shapes.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,7 +16,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from mpdt.errors import FormatError, MissingFileError, ShapeError, StorageError
+from mpdt.disk import disk, write_bytes
+from mpdt.errors import FormatError, MissingFileError, ShapeError
 
 FORMAT = "mpdt-weights/1"
 
@@ -36,24 +35,15 @@ class WeightsHeader(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def save_weights(path: Path, tensors: Mapping[str, Tensor], header: WeightsHeader) -> None:
-    """Write atomically. Raises: StorageError if the disk refuses."""
+    """Write atomically. Raises: BusyError, or StorageError if the disk refuses."""
     # Own copies: safetensors refuses tensors that share memory.
     own = {name: value.detach().clone().contiguous() for name, value in tensors.items()}
-    partial = path.with_name(f"{path.name}.tmp")
-    try:
+    # One key: safetensors writes several in any order, and the bytes would differ.
+    said = msgspec.json.encode(header).decode()
+    data = save(own, metadata={"mpdt": f"{_digest(own, said)}\n{said}"})
+    with disk(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        # One key: safetensors writes several in any order, and the bytes would differ.
-        said = msgspec.json.encode(header).decode()
-        data = save(own, metadata={"mpdt": f"{_digest(own, said)}\n{said}"})
-        with partial.open("wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise StorageError("cannot write weights", where=str(path), found=str(error)) from error
+    write_bytes(path, data)
 
 
 def load_weights(

@@ -93,7 +93,7 @@ def test_header_text_is_plain_json() -> None:
 
 def test_disk_that_refuses(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way of a folder")
-    with pytest.raises(StorageError, match="cannot write weights"):
+    with pytest.raises(StorageError, match="cannot be written"):
         save_weights(tmp_path / "file" / "w", TENSORS, HEADER)
 
 

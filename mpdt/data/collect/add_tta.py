@@ -27,6 +27,8 @@ from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts, TtaRule
 from mpdt.data.store import provenance
 from mpdt.data.store.amend import add_tta
 from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.reader import open_dataset
+from mpdt.disk import holding
 from mpdt.errors import DataError, UsageError
 
 
@@ -100,7 +102,16 @@ def add_set(
         steps = sum(report.steps for report in reports)
         episodes = _episodes(folder, plan.blocks)
         source = replace(source, episodes=episodes, num_steps=steps)
-        done = add_tta(path, name, source)
+        with holding(path, amends=True):
+            now = open_dataset(path)  # another process may have written it meanwhile
+            if now.content_hash != dataset.content_hash:
+                raise DataError("other episodes took their place meanwhile", where=str(path),
+                                expected=f"content {dataset.content_hash[:16]}",
+                                found=now.content_hash[:16],
+                                hint="the same command again makes the set for them")  # fmt: skip
+            if name in now.tta and not overwrite:
+                _check_same(now, name, plan, source.rule, source.preset_returns)
+            done = add_tta(path, name, source)
         folder.delete()
     return Added(done, _version_warnings(dataset))
 

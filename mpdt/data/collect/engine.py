@@ -21,7 +21,7 @@ from mpdt.data.collect.runner import BlockReport, BlockRunner
 from mpdt.data.store import provenance
 from mpdt.data.workers.processes import default_workers, map_blocks
 from mpdt.data.workers.ray import map_blocks_ray
-from mpdt.disk import disk, replacing
+from mpdt.disk import write_bytes
 from mpdt.errors import SimulatorError, UsageError
 
 DECISIVE_PACKAGES = ("mpdt", "python", "numpy", "mujoco", "metaworld")
@@ -83,9 +83,7 @@ class RayCluster:
                     hint="use nodes of one CPU type with the same packages",
                 )
             if finished.content is not None:
-                path = folder.part(finished.report.block).path
-                with replacing(path) as temporary, disk(path):
-                    temporary.write_bytes(finished.content)
+                write_bytes(folder.part(finished.report.block).path, finished.content)
             yield finished.report
 
 

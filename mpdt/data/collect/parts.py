@@ -1,7 +1,6 @@
 """Parts: the folder `<target>.parts/` where finished blocks wait for the pack.
 
     plan.json       spec, spec hash, what the bytes depend on beside it (versions, policies)
-    collector.pid   held by the collector whose process id it shows
     blocks/*.npz    one finished block each, with a digest per episode:
         episodes, tta   flat columns as in the file to be, then length, goal, seed_key, progress,
                         policy and digest per episode
@@ -30,9 +29,7 @@ from mpdt.data.collect.plan import Block
 from mpdt.data.episode import Episode
 from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.digest import episode_digest
-from mpdt.data.store.lock import take_lock
-from mpdt.data.store.tables import Steps
-from mpdt.disk import disk, replacing
+from mpdt.disk import disk, holding, replacing, write_bytes
 from mpdt.errors import DataError
 
 _COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
@@ -53,20 +50,15 @@ class PartsFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Create the folder and hold its lock.
+        """Hold the target, and create the folder.
 
-        Raises: BusyError with the other collector's process id; StorageError.
+        Raises: BusyError naming the process that holds it; StorageError.
         """
-        with disk(self.path):
-            lock = take_lock(
-                self.path / "collector.pid", "another collector holds this target", self.target,
-                "finished blocks are kept",
-            )  # fmt: skip
-            (self.path / "blocks").mkdir(exist_ok=True)
-        try:
+        # Collecting takes hours: whoever waited a little would only leave a little later.
+        with holding(self.target, amends=True, wait_s=0, kept="finished blocks are kept"):
+            with disk(self.path):
+                (self.path / "blocks").mkdir(parents=True, exist_ok=True)
             yield
-        finally:
-            lock.close()
 
     def agree(self, plan: dict[str, Any]) -> None:
         """Write plan.json, or check that the one that is there says the same.
@@ -80,8 +72,7 @@ class PartsFolder:
         if found is None:
             if any((self.path / "blocks").iterdir()):
                 self.clear()  # parts of an unknown plan are worth nothing
-            with replacing(path) as temporary, disk(path):
-                temporary.write_text(json.dumps(plan, indent=1, sort_keys=True))
+            write_bytes(path, json.dumps(plan, indent=1, sort_keys=True).encode())
         elif changed := changed_keys(found, plan):
             raise DataError(
                 "the unfinished parts were made for another plan: " + "; ".join(changed),
@@ -96,7 +87,7 @@ class PartsFolder:
             return None
 
     def clear(self) -> None:
-        """Delete every part and the plan; the lock stays."""
+        """Delete every part and the plan."""
         with disk(self.path):
             shutil.rmtree(self.path / "blocks", ignore_errors=True)
             (self.path / "blocks").mkdir()
@@ -109,13 +100,10 @@ class PartsFolder:
                 self.delete()
 
     def delete(self) -> None:
-        """Delete the folder; the caller holds its lock. A leftover is harmless: no error.
-
-        The lock file goes last: whoever takes the next one finds the rest gone.
-        """
+        """Delete the folder; the caller holds its target. A leftover is harmless: no error."""
         shutil.rmtree(self.path / "blocks", ignore_errors=True)
         with suppress(OSError):
-            for name in ("plan.json", "collector.pid"):
+            for name in ("plan.json", "collector.pid"):  # the latter is of older versions
                 (self.path / name).unlink(missing_ok=True)
             self.path.rmdir()
 
@@ -160,24 +148,25 @@ class Part:
 
         Raises: DataError if it is missing, damaged or made for another block.
         """
-        labels = ("length", "goal", "goal_dim", "seed_key", "progress", "policy")
-        data = self._load(*_COLUMNS, *labels)
+        data = self._load("length", "goal", "goal_dim", "seed_key", "progress", "policy")
         self._check_keys(data["seed_key"])
-        steps = Steps(**{name: data[name] for name in _COLUMNS}, successes=data.get("successes"))
-        starts = np.cumsum(data["length"]) - data["length"]
+        ends = np.cumsum(data["length"])
         episodes = []
-        for row, (start, length) in enumerate(zip(starts, data["length"], strict=True)):
+        for row, (end, length) in enumerate(zip(ends, data["length"], strict=True)):
+            steps = slice(end - length, end)
+            observations = data["observations"][end - length + row : end + row + 1]
+            successes = data["successes"][steps] if "successes" in data else None
             episodes.append(
-                steps.episode(
-                    int(start),
-                    int(start) + row,
-                    int(length),
-                    data["seed_key"][row],
+                Episode(
+                    observations=observations,
+                    **{name: data[name][steps] for name in _COLUMNS[1:]},
+                    successes=successes,
                     task=self.block.task.index,
                     goal=data["goal"][row, : data["goal_dim"][row]],
                     quality=int(self.block.quality),
                     progress=float(data["progress"][row]),
                     policy=data["policy"][row].tobytes(),
+                    seed_key=tuple(int(number) for number in data["seed_key"][row]),  # type: ignore[arg-type]
                 )
             )
             if episode_digest(episodes[-1], self.block.task.name) != data["digest"][row].tobytes():

@@ -5,7 +5,6 @@ Source: the Croissant format 1.0 of MLCommons; Hugging Face's YAML header of dat
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from mpdt.data.exchange.manifest import Manifest
+from mpdt.disk import sha256
 from mpdt.version import __version__
 
 _TERMS = (
@@ -49,7 +49,7 @@ def describe(manifest: Manifest, folder: Path) -> dict[str, Any]:
             "name": path.relative_to(folder).as_posix(),
             "contentUrl": path.relative_to(folder).as_posix(),
             "encodingFormat": "application/x-parquet",
-            "sha256": _sha256(path),
+            "sha256": sha256(path),
         }
         for path in files
     ]
@@ -122,8 +122,3 @@ def _summary(manifest: Manifest) -> str:
         f"{header.family}, {len(header.tasks)} tasks; observations of {header.observation_size} "
         f"and actions of {header.action_size} numbers. Written by mpdt {__version__}."
     )
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -31,6 +31,7 @@ from mpdt.data.spec.tasks import Task
 from mpdt.data.store import provenance
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
+from mpdt.disk import sha256
 from mpdt.errors import DataError, UsageError, unknown_name
 from mpdt.seeding import UNKNOWN_SEED_KEY
 
@@ -73,7 +74,7 @@ class _Tally:
         """The source for the spec: no folder, which would tell who imported it where."""
         found: dict[str, Any] = {
             "name": self.source.name or self.source.path.name,
-            "sha256": _sha256(self.source.path),
+            "sha256": sha256(self.source.path),
             "task": self.source.task.name,
             "quality": quality_name(self.source.quality),
             "episodes": sum(self.kept),
@@ -230,8 +231,3 @@ def _natural(name: str) -> list[tuple[int, str]]:
     """`x-2` before `x-10`."""
     words = re.split(r"(\d+)", name)
     return [(int(word), "") if word.isdigit() else (-1, word) for word in words]
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mpdt.data.exchange import d4rl, lerobot, minari, mtdiff, npz, parquet, promptdt
-from mpdt.data.exchange.folder import appearing
+from mpdt.data.exchange.folder import refuse_existing
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.exchange.treatment import Rules
+from mpdt.disk import appearing
 from mpdt.errors import UsageError, unknown_name
 
 
@@ -59,13 +60,15 @@ def write(name: str, selection: Selection, target: Path, link: bool = False) -> 
 
     Args:
         link: minari only, see there.
-    Raises: UsageError for an unknown format; DataError if `target` exists; StorageError.
+    Raises: UsageError for an unknown format; DataError if `target` exists; BusyError if another
+            process writes or wrote there meanwhile; StorageError.
     """
     writers = {key: known.write for key, known in FORMATS.items() if known.write}
     if name not in writers:
         raise unknown_name("format", name, writers, where="--to")
     if link and name != "minari":
         raise UsageError(f"{name} has no links", where="--link", hint="only minari has")
+    refuse_existing(target)
     with appearing(target) as folder:
         if link:
             minari.write(selection, folder, link=True)

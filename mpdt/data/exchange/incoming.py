@@ -10,6 +10,7 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import Additions
 from mpdt.data.store.writer import write_file
+from mpdt.disk import holding
 from mpdt.errors import DataError
 
 
@@ -34,11 +35,8 @@ def store(incoming: Incoming, target: Path, finish: Callable[[Dataset], Addition
     Args:
         finish: slices and statistics of the new file, as in `write_file`.
     Raises: DataError if something is at `target` already, or if the episodes are not those
-        that were exported; otherwise as `write_file` and the format's own reader.
+        that were exported; BusyError; otherwise as `write_file` and the format's own reader.
     """
-    if target.exists():
-        raise DataError("an import would replace another file", where=str(target),
-                        hint="choose another name with -o, or delete that file first")  # fmt: skip
 
     def checked(dataset: Dataset) -> Additions:
         if incoming.promised and dataset.content_hash != incoming.promised:
@@ -48,4 +46,9 @@ def store(incoming: Incoming, target: Path, finish: Callable[[Dataset], Addition
                             hint="something changed them; export or copy them again")  # fmt: skip
         return finish(dataset)
 
-    return write_file(target, incoming.header, incoming.source, finish=checked)
+    with holding(target) as hold:
+        if hold.found is not None:
+            raise DataError("an import would replace another file", where=str(target),
+                            hint="choose another name with -o, or delete that file first",
+                            )  # fmt: skip
+        return write_file(target, incoming.header, incoming.source, finish=checked)

@@ -26,8 +26,7 @@ from typing import Any
 import numpy as np
 
 from mpdt.data.exchange.pickle_machine import Machine, RefusedError, kind_of
-from mpdt.errors import FormatError
-from mpdt.reading import read_plain
+from mpdt.errors import FormatError, MissingFileError, StorageError
 
 MAX_BYTES = 1 << 30
 MAX_OPERATIONS = 5_000_000
@@ -87,4 +86,13 @@ def load_bytes(data: bytes, where: str) -> Any:
 
 
 def _read(path: Path) -> bytes:
-    return read_plain(path, MAX_BYTES)
+    try:
+        if (size := path.stat().st_size) > MAX_BYTES:
+            raise FormatError("too large for a pickle", where=str(path),
+                              expected=f"at most {MAX_BYTES:,} bytes",
+                              found=f"{size:,}")  # fmt: skip
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise MissingFileError("no such file", where=str(path)) from error
+    except OSError as error:
+        raise StorageError("cannot be read", where=str(path), found=str(error)) from error

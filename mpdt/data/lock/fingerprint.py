@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.lock.file import Hashes, LockEntry, Size, run_text
 from mpdt.data.store.dataset import Dataset
+from mpdt.disk import sha256
 from mpdt.seeding import HISTORY_STRIDE
 
 _QUALITIES = {code: name for name, code in QUALITY_CODES.items()} | {-1: "unknown"}
@@ -27,7 +26,7 @@ def fingerprint(dataset: Dataset) -> LockEntry:
         hashes=Hashes(
             spec=dataset.spec_hash,
             content=dataset.content_hash,
-            file=file_hash(dataset.path),
+            file=sha256(dataset.path),
             tta=_planned_sets(dataset),
         ),
         size=Size(
@@ -57,12 +56,6 @@ def _planned_sets(dataset: Dataset) -> dict[str, str]:
     """Content hashes of the TTA sets that the file's spec asks for."""
     planned = dataset.spec.get("tta") or {}
     return {name: tta.content_hash for name, tta in dataset.tta.items() if name in planned}
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of the file's bytes."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def digests_by_run(dataset: Dataset) -> dict[str, dict[str, bytes]]:

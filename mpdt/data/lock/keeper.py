@@ -11,10 +11,6 @@ Under the same version only `update` replaces one.
 
 from __future__ import annotations
 
-import fcntl
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +24,7 @@ from mpdt.data.spec.change import changed_keys
 from mpdt.data.spec.entry import DatasetSpec, canonical_json, spec_hash
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
-from mpdt.disk import disk, replacing
+from mpdt.disk import holding, write_bytes
 from mpdt.errors import DataError, SimulatorError
 
 MACHINE = ("arch", "cpu", "blas")
@@ -198,10 +194,9 @@ class LockKeeper:
 
     def _write(self, dataset: Dataset) -> None:
         entry = fingerprint(dataset)
-        with _alone(self.path.parent):
+        with holding(self.path, amends=True):
             entries = read_lock(self.path) | {dataset.name: entry}
-            with replacing(self.path) as temporary, disk(self.path):
-                temporary.write_bytes(lock_bytes(entries))
+            write_bytes(self.path, lock_bytes(entries))
 
 
 def _difference(entry: LockEntry, dataset: Dataset) -> str:
@@ -214,15 +209,3 @@ def _difference(entry: LockEntry, dataset: Dataset) -> str:
 def _some(runs: list[str]) -> str:
     more = f" and {len(runs) - 3} more" if len(runs) > 3 else ""
     return ", ".join(runs[:3]) + more
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Two collections that end together write one after the other."""
-    with disk(folder):
-        handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)

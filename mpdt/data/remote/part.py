@@ -1,47 +1,52 @@
-"""Part: a file on its way, beside its target, and the state of the source it is a part of."""
+"""Part: a file or folder on its way, beside its target; a broken transfer goes on from it.
+
+x.h5.part         what came so far; appended to
+x.h5.part.json    of which state of which source; without it the part is not ours
+
+Its name must be known to whoever goes on, so the target is held as long as it is written.
+"""
 
 from __future__ import annotations
 
-import fcntl
+import json
+import os
+import shutil
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 
-from mpdt.disk import disk, sync
-from mpdt.errors import BusyError
+from mpdt.disk import disk, holding, put_file, write_bytes
+from mpdt.errors import StorageError
 
 
 class Part:
-    """`<target>.part` and its note `<target>.part.json`, until `finish` renames it.
-
-    The note is also the lock: HDF5 takes one of its own on the file itself.
+    """`<target>.part` and its note, until `finish` renames it.
 
     Args:
-        source: what it is a part of, as text.
-    Raises: BusyError if another process is at it; StorageError.
+        source: what it is a part of, as a JSON list.
+    Raises: BusyError if another process writes the target; StorageError, also for a file of
+        that name that is not ours.
     """
 
     def __init__(self, target: Path, source: str) -> None:
         self._target, self._source = target, source
-        self.path = target.with_name(target.name + ".part")
-        self._note_path = target.with_name(target.name + ".part.json")
+        self.path, self._note = part_of(target)
+        self._stack = ExitStack()
 
     def __enter__(self) -> Part:
-        with disk(self._target):
-            self._note = self._note_path.open("a+", encoding="utf-8")
-            try:
-                fcntl.flock(self._note, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                self._note.close()
-                raise BusyError("another process is bringing it", where=str(self.path)) from None
-            self._file = self.path.open("ab")
+        with self._stack as stack, disk(self._target):
+            stack.enter_context(holding(self._target, wait_s=0, kept="what came is kept"))
+            self._same = take_part(self._target, self._source)
+            flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+            self._file = stack.enter_context(os.fdopen(os.open(self.path, flags, 0o666), "ab"))
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:  # fmt: skip
-        self._file.close()
-        self._note.close()
+        self._stack.close()
 
     @property
     def size(self) -> int:
@@ -54,14 +59,9 @@ class Part:
             certain: the source says what tells one state of it from another.
         """
         with disk(self._target):
-            self._note.seek(0)
-            same = certain and self._note.read() == self._source
-            if not same or size is None or self.size > size:
+            if not (certain and self._same) or size is None or self.size > size:
                 self._file.truncate(0)
                 self._file.seek(0)
-                self._note.truncate(0)
-                self._note.write(self._source)
-                self._note.flush()
         return self.size
 
     def write(self, chunk: bytes) -> None:
@@ -72,12 +72,42 @@ class Part:
     def discard(self) -> None:
         """Away with it and its note."""
         self.path.unlink(missing_ok=True)
-        self._note_path.unlink(missing_ok=True)
+        self._note.unlink(missing_ok=True)
 
     def finish(self) -> None:
         """It is whole: make it durable, then rename it."""
+        put_file(self.path, self._target)
         with disk(self._target):
-            sync(self.path)
-            self.path.rename(self._target)
-            self._note_path.unlink(missing_ok=True)
-            sync(self._target.parent)
+            self._note.unlink(missing_ok=True)
+
+
+def part_of(target: Path) -> tuple[Path, Path]:
+    """Where its part and the note of that are."""
+    path = target.with_name(target.name + ".part")
+    return path, path.with_name(path.name + ".json")
+
+
+def take_part(target: Path, source: str) -> bool:
+    """Whether the part that is there is of `source`; of another source, it goes.
+
+    The caller holds the target. The note is there from now on, the part perhaps.
+
+    Raises: StorageError for a part that is not ours.
+    """
+    part, note = part_of(target)
+    found = None
+    if os.path.lexists(note):
+        with suppress(OSError, ValueError):
+            if not note.is_symlink() and isinstance(json.loads(note.read_bytes()), list):
+                found = note.read_text(encoding="utf-8")
+    if found == source and not part.is_symlink():
+        return True
+    if part.is_symlink() or (found is None and (os.path.lexists(part) or os.path.lexists(note))):
+        odd = part if os.path.lexists(part) else note
+        raise StorageError("something is in the way of what is to come", where=str(odd),
+                           hint="move it away, it is not ours")  # fmt: skip
+    if part.is_dir():
+        shutil.rmtree(part)
+    part.unlink(missing_ok=True)
+    write_bytes(note, source.encode())
+    return False

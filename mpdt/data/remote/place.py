@@ -17,6 +17,7 @@ from fsspec.registry import known_implementations
 
 from mpdt.data.remote import objects
 from mpdt.data.remote.address import hidden, without_secrets
+from mpdt.disk import put_file, write_bytes
 from mpdt.errors import MissingFileError, MpdtError, RemoteError, UsageError, unknown_name
 
 CHUNK_BYTES = 1 << 18
@@ -50,6 +51,7 @@ class Place:
         self.can_append = self.protocol in _APPEND
         self.is_read_only = self.protocol in _READ_ONLY
         self.is_store = self.protocol in objects.PROTOCOLS
+        self.is_folder = self.protocol in ("file", "local")  # of this machine, or mounted
         self.fs: Any = None
         self.reconnect()
 
@@ -194,6 +196,9 @@ class Place:
         """Write a small file."""
         with self.told():
             self.make_folder(path)
+            if self.is_folder:
+                write_bytes(Path(path), content, amends=True)
+                return
             self.fs.pipe_file(path, content)
 
     def rename(self, old: str, new: str) -> None:
@@ -201,6 +206,8 @@ class Place:
         with self.told():
             if self.protocol in ("webdav", "webdavs"):
                 self.fs.client.move(old, new, overwrite=True)  # its mv refuses to
+            elif self.is_folder:
+                put_file(Path(old), Path(new))
             elif self.is_store:
                 objects.rename(self.fs, old, new)
             else:

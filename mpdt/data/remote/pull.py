@@ -9,14 +9,15 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 from mpdt.data.remote.address import last_name
-from mpdt.data.remote.part import Part
+from mpdt.data.remote.part import Part, part_of, take_part
 from mpdt.data.remote.place import Place
-from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, loaded, prove, sha256
-from mpdt.disk import disk, sync
+from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, loaded, prove
+from mpdt.disk import disk, holding, put_folder, sha256
 from mpdt.errors import DataError, MissingFileError, RemoteError, UsageError
 
 SPARED_BYTES = 1 << 28  # left free by a server that does not say how much it will send
@@ -55,13 +56,14 @@ def pull(
     Raises: MissingFileError, RemoteError; DataError for what arrived damaged and for something
         else at `target`; UsageError; StorageError; BusyError.
     """
-    with Place(url) as place:
+    with Place(url) as place, ExitStack() as stack:
         name = last_name(place.path) or last_name(place.path.rstrip("/"))
         target = target or Path(name or "pulled")
         if not target.parent.is_dir():
             raise MissingFileError("folder does not exist", where=str(target.parent),
                                    hint=f"mkdir -p {target.parent}")  # fmt: skip
         # A signature is for one file alone: nothing lies beside it.
+        stack.enter_context(holding(target, wait_s=0, kept="what came so far is kept"))
         is_signed = place.is_read_only and "?" in place.path
         if not is_signed and (content := place.read(place.path + SUFFIX)):
             return _pull_file(place, target, _single(content, place), lock, tell)
@@ -107,9 +109,12 @@ def _pull_folder(
 ) -> Pulled:
     if lock is not None:
         raise UsageError("the lock holds dataset files, not exports", where=place.address)
-    arriving = target.with_name(target.name + ".part")
+    arriving, note = part_of(target)
     there = target if target.exists() else arriving
     moved = 0
+    if there is arriving:
+        with disk(target):
+            take_part(target, json.dumps([place.address, FILE_NAME]))
     for name, sum in sums.items():
         path = there / name
         if path.is_file() and sha256(path) == sum:
@@ -126,10 +131,9 @@ def _pull_folder(
                 if path.is_file() and path.relative_to(arriving).as_posix() not in sums:
                     path.unlink()
             (arriving / FILE_NAME).write_bytes(dumped(sums))
-            for path in (*sorted(arriving.rglob("*")), arriving):
-                sync(path)
-            arriving.rename(target)
-            sync(target.parent)
+        put_folder(arriving, target)
+        with disk(target):
+            note.unlink(missing_ok=True)
     size = sum_of_sizes(target, sums)
     return Pulled(target, len(sums), size, moved, "sums")
 

@@ -7,7 +7,8 @@ x.h5.sha256           the sum beside it
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from mpdt.data.remote import hub
 from mpdt.data.remote.address import hidden, last_name
 from mpdt.data.remote.place import Place
 from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, prove, sums_of
-from mpdt.errors import DataError, RemoteError, UsageError
+from mpdt.disk import Seen, holding
+from mpdt.errors import BusyError, DataError, RemoteError, StorageError, UsageError
 
 Tell = Callable[[str, int, int | None], None]
 
@@ -53,16 +55,35 @@ def push(
     if url.partition("://")[0] in ("http", "https"):
         raise UsageError("http is read only", where=hidden(url),
                          hint="webdav:// or sftp:// to the same host may do")  # fmt: skip
-    if source.is_file():
+    proved = Seen.of(source.stat()) if source.is_file() else None
+    if proved:
         prove(source)
     with Place(_named(url, source)) as place:
         if source.is_file() and (place.info(place.path) or {}).get("type") == "directory":
             place.enter(source.resolve().name)  # as cp does
-        return _push(place, source, replace, check, tell)
+        sums = sums_of(source)
+        if proved and Seen.of(source.stat()) != proved:
+            raise BusyError("another process wrote it meanwhile", where=str(source),
+                            hint="the same command sends what is there now")  # fmt: skip
+        with _held(place):
+            return _push(place, source, sums, replace, check, tell)
 
 
-def _push(place: Place, source: Path, replace: bool, check: bool, tell: Tell) -> Pushed:
-    sums = sums_of(source)
+@contextmanager
+def _held(place: Place) -> Iterator[None]:
+    """Nobody else of ours sends there meanwhile, as far as that can be said: to a folder."""
+    if not place.is_folder:
+        yield
+        return
+    path = place.path.rstrip("/")
+    place.make_folder(path)
+    with holding(Path(path), wait_s=0, kept="what was sent so far is kept"):
+        yield
+
+
+def _push(
+    place: Place, source: Path, sums: dict[str, str], replace: bool, check: bool, tell: Tell
+) -> Pushed:  # fmt: skip
     if source.is_file():
         base, list_path = place.path, place.path + SUFFIX
         files, digests = {base: source}, {base: sums[source.name]}
@@ -115,6 +136,8 @@ def _is_there(
 def _send(place: Place, source: Path, path: str, digest: str, check: bool, tell: Tell) -> int:
     """One file under a temporary name, compared, renamed; returns the bytes that moved."""
     temporary, size = f"{path}.{digest[:8]}.part", source.stat().st_size
+    if place.is_folder and Path(temporary).is_symlink():
+        raise StorageError("a link is in the way", where=temporary, hint="delete it")
     there = _size(place, temporary) if place.can_append else 0
     start = sent = there if there <= size else 0
     while True:

@@ -6,23 +6,18 @@ folder/     folder/SHA256SUMS      one line per file; last to be written, so it 
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import verify
+from mpdt.disk import sha256
 from mpdt.errors import DataError, FormatError, MissingFileError
 
 SUFFIX = ".sha256"
 FILE_NAME = "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
-
-
-def sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def sums_of(source: Path) -> dict[str, str]:

@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 import msgspec
 
 from mpdt.data.spec.entry import canonical_json
-from mpdt.disk import disk, replacing
+from mpdt.disk import write_bytes
 from mpdt.errors import DataError, StorageError
 
 Entry = TypeVar("Entry")
@@ -54,5 +54,4 @@ def write_book(path: Path, entries: Iterable[object], format: str, rule: str) ->
     """
     lines = ",\n".join(canonical_json(entry).decode() for entry in entries)
     head = f'{{"format":{json.dumps(format)},\n"rule":{json.dumps(rule)},\n"entries":[\n'
-    with replacing(path) as temporary, disk(path):
-        temporary.write_text(f"{head}{lines}\n]}}\n")
+    write_bytes(path, f"{head}{lines}\n]}}\n".encode())

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from mpdt.data.sim.book import read_book, write_book
-from mpdt.disk import check_replaceable
+from mpdt.disk import check_replaceable, holding
 from mpdt.draw.table import markdown_table
 
 FORMAT = "mpdt-calibration/1"
@@ -118,9 +118,10 @@ def save_calibrations(path: Path, entries: Sequence[Calibration], rule: str) -> 
 
     Raises: DataError if something else is in `path`; StorageError where the disk refuses.
     """
-    merged = read_calibrations(path) if path.exists() else {}
-    merged |= {(entry.task, entry.horizon): entry for entry in entries}
-    write_book(path, (merged[key] for key in sorted(merged)), FORMAT, rule)
+    with holding(path, amends=True):
+        merged = read_calibrations(path) if path.exists() else {}
+        merged |= {(entry.task, entry.horizon): entry for entry in entries}
+        write_book(path, (merged[key] for key in sorted(merged)), FORMAT, rule)
 
 
 def table(entries: Sequence[Calibration]) -> str:

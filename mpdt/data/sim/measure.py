@@ -37,7 +37,7 @@ from mpdt.data.sim.references import (
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Task, get_family
 from mpdt.data.workers.processes import map_blocks
-from mpdt.pace import Pace
+from mpdt.disk import holding
 
 FIRST = 20  # episodes before the first decision
 CAP = 1280
@@ -217,16 +217,35 @@ def measure(
                 for count, (portion, scores) in enumerate(answers, 1):
                     campaign.take(portion, scores)
                     clock.steps += portion.steps
-                    if clock.pace.is_time(anyway=count == len(portions)):
-                        save_entries(target, (book | campaign.entries).values(), RULE)
+                    if clock.is_time() or count == len(portions):
+                        book = _save(target, book, campaign, seed)
                         left = clock.text(campaign.steps_left())
                         on_progress(
                             f"round {number}  {count}/{len(portions)} portions  {left}  "
                             f"{portion.task.name} {portion.policy[:12]}"
                         )
             finally:  # an interrupt must not lose what has been played
-                save_entries(target, (book | campaign.entries).values(), RULE)
+                book = _save(target, book, campaign, seed)
     return campaign
+
+
+def _save(
+    target: Path, before: dict[Place, Entry], campaign: Campaign, seed: int
+) -> dict[Place, Entry]:
+    """Put the campaign's entries beside what is on record, and say what is there now.
+
+    Args:
+        before: what was there last; what differs now, another process wrote meanwhile.
+    """
+    with holding(target, amends=True):
+        found = load_entries(target)
+        others = {
+            place: entry for place, entry in found.items()
+            if place in campaign.entries and entry != before.get(place)
+        }  # fmt: skip
+        found |= _joined(_valid(others, seed), campaign.entries)
+        save_entries(target, found.values(), RULE)
+    return found
 
 
 def _valid(book: dict[Place, Entry], seed: int) -> dict[Place, Entry]:
@@ -253,7 +272,14 @@ class _Clock:
 
     steps: int = 0
     start: float = field(default_factory=time.monotonic)
-    pace: Pace = field(default_factory=lambda: Pace(SAVE_EVERY_S))
+    last: float = field(default_factory=time.monotonic)
+
+    def is_time(self) -> bool:
+        now = time.monotonic()
+        if now - self.last < SAVE_EVERY_S:
+            return False
+        self.last = now
+        return True
 
     def text(self, steps_left: int) -> str:
         rate = self.steps / max(1e-9, time.monotonic() - self.start)

@@ -16,15 +16,9 @@ from numpy.typing import NDArray
 from safetensors.numpy import save
 from stable_baselines3.common.callbacks import BaseCallback
 
-from mpdt.disk import disk, replacing
+from mpdt.disk import disk, replacing, write_bytes
 
 Curve = list[dict[str, float]]
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Atomic. Raises: StorageError."""
-    with replacing(path) as temporary, disk(path):
-        temporary.write_bytes(content)
 
 
 class Snapshots(BaseCallback):  # type: ignore[misc]  # untyped base

@@ -25,6 +25,7 @@ from mpdt.data.store.inherit import episodes_of, header_of, tta_of
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.tables import Additions, Int64, Stats
 from mpdt.data.store.writer import write_file
+from mpdt.disk import holding
 from mpdt.errors import DataError, FormatError, UsageError
 
 
@@ -137,11 +138,12 @@ def cut_file(source: Dataset, cut: Cut, target: Path) -> Dataset:
     adaptation needs nothing else. Statistics are those of the train tasks that remain, or the
     source's where none remains. Reference returns stay what they were.
 
-    Raises: as `choose` and `write_file`; DataError if `target` is not a cut-out file.
+    Raises: as `choose` and `write_file`; DataError as `refuse_to_replace`.
     """
-    refuse_to_replace(source, target)
     step = {"verb": "split", "rule": cut.rule()}
-    return write_cut(source, choose(source, cut), task_rows(source, cut), target, step)
+    with holding(target):
+        refuse_to_replace([source], target, step)
+        return write_cut(source, choose(source, cut), task_rows(source, cut), target, step)
 
 
 def write_cut(
@@ -178,23 +180,45 @@ def _inherited_stats(source: Dataset, rows: list[int]) -> Stats | None:
     return replace(source.stats_info, slice="", tasks_seen=seen)
 
 
-def refuse_to_replace(source: Dataset, target: Path) -> None:
-    """A cut-out may replace an older cut-out and nothing else.
+def refuse_to_replace(sources: Sequence[Dataset], target: Path, step: Mapping[str, Any]) -> None:
+    """What an earlier call made of the same sources by the same rule may be replaced, only that.
 
+    A source that was collected again, under the name it has, counts as the same.
+
+    Args:
+        step: what is done to the sources: `verb` and rule.
     Raises: DataError if something else is at `target`.
     """
     if not target.exists():
         return
     try:
-        if not target.samefile(source.path) and open_dataset(target).parent:
+        there = open_dataset(target)
+        found = f"made by {there.lineage[-1]['verb']}" if there.lineage else "collected or imported"
+        if any(target.samefile(source.path) for source in sources):
+            found = "the source itself"
+        elif _is_same_step(there, sources, step):
             return
-        found = "a file that was collected"
+        elif there.lineage and there.lineage[-1]["verb"] == step["verb"]:
+            found += ", of other sources or by another rule"
     except FormatError as error:
         found = error.what
     raise DataError(
-        "a cut-out would replace another file",
+        f"{step['verb']} would replace another file",
         where=str(target),
-        expected="nothing, or an older cut-out",
+        expected="nothing, or what the same command made before",
         found=found,
         hint="choose another name with -o, or delete that file first",
     )
+
+
+def _is_same_step(there: Dataset, sources: Sequence[Dataset], step: Mapping[str, Any]) -> bool:
+    if not there.lineage or there.name != sources[0].name:
+        return False
+    *before, last = there.lineage
+    if (last["verb"], last.get("rule")) != (step["verb"], step.get("rule")):
+        return False
+    if len(sources) > 1:
+        return bool(last["from"] == [source.content_hash for source in sources])
+    done = [[(one["verb"], one.get("rule")) for one in steps]
+            for steps in (before, sources[0].lineage)]  # fmt: skip
+    return done[0] == done[1]

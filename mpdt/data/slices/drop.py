@@ -11,6 +11,7 @@ import numpy as np
 from mpdt.data.slices.cut import Cut, choose, refuse_to_replace, write_cut
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.tables import Int64
+from mpdt.disk import holding
 from mpdt.errors import DataError, UsageError
 
 _LONGEST = 100_000_000
@@ -46,9 +47,8 @@ def drop(
         ids: absolute ids to leave out.
         rule: leave out what it chooses; together with `ids`, both.
     Raises: UsageError for no ids, ids outside the file, or an unknown name in `rule`;
-        DataError where nothing would be left or `target` is not a cut-out file; StorageError.
+        DataError where nothing would be left, or as `refuse_to_replace`; StorageError.
     """
-    refuse_to_replace(source, target)
     gone: set[int] = set(ids)
     if outside := sorted(i for i in gone if not 0 <= i < source.num_episodes):
         raise UsageError(f"no episode {outside[0]}", where=str(source.path),
@@ -64,5 +64,7 @@ def drop(
     kept: Int64 = np.array([i for i in range(source.num_episodes) if i not in gone], np.int64)
     if not len(kept):
         raise DataError("no episode would be left", where=str(source.path))
-    rows = range(len(source.tasks))
-    return write_cut(source, kept, rows, target, {"verb": "drop", "rule": said})
+    step = {"verb": "drop", "rule": said}
+    with holding(target):
+        refuse_to_replace([source], target, step)
+        return write_cut(source, kept, range(len(source.tasks)), target, step)

@@ -25,6 +25,7 @@ from mpdt.data.store.inherit import header_of, lineage_step, task_rows
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
+from mpdt.disk import holding
 from mpdt.errors import DataError, UsageError
 from mpdt.seeding import UNKNOWN_SEED_KEY
 
@@ -58,12 +59,17 @@ def merge(sources: Sequence[Dataset], target: Path) -> Merged:
     Slices are the standard ones; statistics are computed anew.
 
     Raises: UsageError for fewer than two sources; DataError where families, seeds or bytes
-        contradict each other, or `target` is not a cut-out file; StorageError.
+        contradict each other, or as `refuse_to_replace`; BusyError, StorageError.
     """
     if len(sources) < 2:
         raise UsageError("merge needs at least two files")
+    with holding(target):
+        refuse_to_replace(sources, target, {"verb": "merge"})
+        return _merge(sources, target)
+
+
+def _merge(sources: Sequence[Dataset], target: Path) -> Merged:
     for source in sources:
-        refuse_to_replace(source, target)
         _check_kin(sources[0], source)
     places, num_repeated = _places(sources)
     header = _header(sources)

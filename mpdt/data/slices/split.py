@@ -10,6 +10,7 @@ from mpdt.data.slices.cut import Cut, choose, cut_file, task_rows
 from mpdt.data.store.amend import add_slice
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset, parse_ref
+from mpdt.disk import holding
 from mpdt.errors import DataError, FormatError, MissingFileError, UsageError
 
 
@@ -109,8 +110,10 @@ def _split_one(
 ) -> list[CutOut]:
     path = dataset.path
     if name is not None:
-        ids = choose(dataset, cut)
-        add_slice(path, name, ids, cut.rule())
+        with holding(path, amends=True):
+            dataset = open_dataset(path)  # another process may have written it meanwhile
+            ids = choose(dataset, cut)
+            add_slice(path, name, ids, cut.rule())
         steps = int(dataset.episodes.length[ids].sum())
         return [CutOut(path, name, path, len(ids), steps)]
     target = output or path.with_name(f"{path.stem}{cut.suffix()}.h5")

@@ -1,6 +1,7 @@
 """Add a slice or a TTA set to a finished file: a changed copy takes its place.
 
-The episodes, and with them the content hash, stay what they are.
+The episodes, and with them the content hash, stay what they are. The file is held from before
+it is read until the copy has its place, so that what two processes add at once is both in it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from mpdt.data.store.sources import TtaSource
 from mpdt.data.store.tables import Int64, Slice
 from mpdt.data.store.ttaset import fill_tta
 from mpdt.data.store.writer import ALIGNED, closing, write_slice
-from mpdt.disk import disk, replacing, reserve
+from mpdt.disk import disk, holding, replacing, reserve
 
 
 def add_slice(
@@ -36,13 +37,14 @@ def add_slice(
         ids: ascending absolute episode ids.
         rule: how they were chosen; stored as JSON.
     Raises: DataError for ids that do not ascend inside the file; UsageError for a bad name;
-        StorageError. The old file stays on any of these.
+        BusyError, StorageError. The old file stays on any of these.
     """
-    with _copy(path) as (file, dataset), disk(path):
-        if name in file.get("slices", {}):
-            del file["slices"][name]
-        write_slice(file, name, Slice(np.asarray(ids, np.int64), rule), dataset)
-    return open_dataset(path)
+    with holding(path, amends=True):
+        with _copy(path) as (file, dataset), disk(path):
+            if name in file.get("slices", {}):
+                del file["slices"][name]
+            write_slice(file, name, Slice(np.asarray(ids, np.int64), rule), dataset)
+        return open_dataset(path)
 
 
 def add_tta(path: Path, name: str, source: TtaSource) -> Dataset:
@@ -50,32 +52,34 @@ def add_tta(path: Path, name: str, source: TtaSource) -> Dataset:
 
     Raises: as `writer.write_file`.
     """
-    with _copy(path) as (file, dataset):
-        layout.checked_name(name)
-        success = dataset.steps.successes is not None
-        sizes = {"D": dataset.observation_size, "A": dataset.action_size}
-        counts = {"N": source.num_steps, "E": source.num_episodes}
-        with disk(path):
-            if name in file.get("tta", {}):
-                del file["tta"][name]
-            group = file.create_group(f"tta/{name}")
-            wanted = columns.step_columns(tta=True, has_success=success)
-            table = columns.open_steps(group, wanted, sizes | counts, path)
-            file.flush()
-            reserve(Path(file.filename), Path(file.filename).stat().st_size)
-        tasks = columns.TaskIndex(task_rows(dataset), str(path))
-        goals = columns.GoalTable.of(dataset.goals)
-        content = content_header(dataset.family, dataset.tasks.names, sizes["D"], sizes["A"],
-                                 success)  # fmt: skip
-        fill_tta(group, table, source, content, tasks, goals)
-        with disk(path):
-            del file["goals"]
-            columns.write_table(file.create_group("goals"), layout.GOALS, goals.values())
-    return open_dataset(path)
+    with holding(path, amends=True):
+        with _copy(path) as (file, dataset):
+            layout.checked_name(name)
+            success = dataset.steps.successes is not None
+            sizes = {"D": dataset.observation_size, "A": dataset.action_size}
+            counts = {"N": source.num_steps, "E": source.num_episodes}
+            with disk(path):
+                if name in file.get("tta", {}):
+                    del file["tta"][name]
+                group = file.create_group(f"tta/{name}")
+                wanted = columns.step_columns(tta=True, has_success=success)
+                table = columns.open_steps(group, wanted, sizes | counts, path)
+                file.flush()
+                reserve(Path(file.filename), Path(file.filename).stat().st_size)
+            tasks = columns.TaskIndex(task_rows(dataset), str(path))
+            goals = columns.GoalTable.of(dataset.goals)
+            content = content_header(dataset.family, dataset.tasks.names, sizes["D"], sizes["A"],
+                                     success)  # fmt: skip
+            fill_tta(group, table, source, content, tasks, goals)
+            with disk(path):
+                del file["goals"]
+                columns.write_table(file.create_group("goals"), layout.GOALS, goals.values())
+        return open_dataset(path)
 
 
 @contextmanager
 def _copy(path: Path) -> Iterator[tuple[h5py.File, Dataset]]:
+    """A changed copy of a file that is held."""
     dataset = open_dataset(path)
     with replacing(path) as temporary:
         with disk(path):

@@ -29,7 +29,7 @@ from mpdt.data.store.seal import seal
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import Additions, Slice, Stats, TaskRow
 from mpdt.data.store.ttaset import fill_tta
-from mpdt.disk import disk, replacing, reserve
+from mpdt.disk import disk, holding, replacing, reserve
 from mpdt.errors import DataError, FormatError
 
 __all__ = ["Additions", "EpisodeSource", "FileHeader", "Slice", "Stats", "TaskRow", "TtaSource",
@@ -52,26 +52,28 @@ def write_file(
     Args:
         finish: called with the readable but nameless temporary file once all episodes are in
             (its `path` ends in `.tmp`); returns slices, statistics and reference returns.
-    Raises: StorageError where the disk refuses; DataError or ShapeError for episodes that do
-        not fit header, order or counts; whatever `source` or `finish` raise. In all of these
-        the old file is untouched and no temporary file is left.
+    Raises: StorageError where the disk refuses; BusyError if another process writes or wrote
+        `target` meanwhile; DataError or ShapeError for episodes that do not fit header, order
+        or counts; whatever `source` or `finish` raise. In all of these the old file is
+        untouched and no temporary file is left.
     """
-    with replacing(target) as temporary:
-        with disk(target):
-            file = h5py.File(temporary, "w", **ALIGNED)
-        with closing(file, target):
-            _fill(file, temporary, target, header, source, tta or {})
-        dataset = read_file(temporary, unfinished=True)
-        check_digests(dataset)
-        additions = finish(dataset) if finish else Additions()
-        with disk(target):
-            file = h5py.File(temporary, "r+", **ALIGNED)
-        with closing(file, target), disk(target):
-            _write_additions(file, additions, dataset)
-            seal(file)
-            file.attrs["complete"] = np.uint8(1)
-        read_file(temporary)
-    return open_dataset(target)
+    with holding(target):
+        with replacing(target) as temporary:
+            with disk(target):
+                file = h5py.File(temporary, "w", **ALIGNED)
+            with closing(file, target):
+                _fill(file, temporary, target, header, source, tta or {})
+            dataset = read_file(temporary, unfinished=True)
+            check_digests(dataset)
+            additions = finish(dataset) if finish else Additions()
+            with disk(target):
+                file = h5py.File(temporary, "r+", **ALIGNED)
+            with closing(file, target), disk(target):
+                _write_additions(file, additions, dataset)
+                seal(file)
+                file.attrs["complete"] = np.uint8(1)
+            read_file(temporary)
+        return open_dataset(target)
 
 
 def check_digests(dataset: Dataset) -> None:

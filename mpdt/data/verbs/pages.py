@@ -51,7 +51,7 @@ class Report(Options):
         from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.store.reader import open_dataset, parse_ref
         from mpdt.data.verify.verify import verify
-        from mpdt.disk import check_replaceable
+        from mpdt.disk import check_replaceable, holding
         from mpdt.draw.html import write_page
 
         path, slice_name = parse_ref(self.file)
@@ -59,13 +59,14 @@ class Report(Options):
         facts = Facts.of(data, slice_name)
         part = f"-{slice_name}" if slice_name else ""
         target = self.output or path.with_name(f"{path.stem}{part}.html")
-        check_replaceable(target)
-        locked = read_lock(lock_path(load_catalog(self.spec).path)).get(data.name)
-        chosen = self._chosen(facts)
-        report = None if self.no_verify else verify(path, replay=self.replay, say=self.say)
-        films, missing = self._films(facts, chosen)
-        text = card_page(facts, locked, report, films, missing)
-        write_page(target, text)
+        with holding(target):
+            check_replaceable(target)
+            locked = read_lock(lock_path(load_catalog(self.spec).path)).get(data.name)
+            chosen = self._chosen(facts)
+            report = None if self.no_verify else verify(path, replay=self.replay, say=self.say)
+            films, missing = self._films(facts, chosen)
+            text = card_page(facts, locked, report, films, missing)
+            write_page(target, text)
         self.print(
             {"path": str(target), "bytes": target.stat().st_size, "films": len(films),
              "no_films": missing},
@@ -145,23 +146,27 @@ class View(Options):
         self.print(found | {"written": [str(path) for path in written]}, "\n".join(text))
 
     def _pictures(self) -> list[Path]:
+        from contextlib import ExitStack
+
         from mpdt.data.card.film import shoot
         from mpdt.data.card.picture import clip_frames, expect_package, write_mp4, write_png
         from mpdt.data.spec.tasks import get_family
         from mpdt.data.store.reader import open_dataset
-        from mpdt.disk import check_replaceable
+        from mpdt.disk import check_replaceable, holding
 
         data = open_dataset(self.file)
-        for target, package in ((self.png, "matplotlib"), (self.mp4, "imageio_ffmpeg")):
-            if target is not None:
-                expect_package(package)
-                check_replaceable(target)
-        if self.png is not None:
-            self.say("film     6 frames")
-            write_png(self.png, data, shoot(self.file, [self.episode])[0])
-        if self.mp4 is not None:
-            length = int(data.episodes.length[self.episode])
-            frames, fps = clip_frames(length, get_family(data.family).step_s)
-            self.say(f"film     {frames} frames")
-            write_mp4(self.mp4, shoot(self.file, [self.episode], frames)[0], fps)
+        with ExitStack() as stack:
+            for target, package in ((self.png, "matplotlib"), (self.mp4, "imageio_ffmpeg")):
+                if target is not None:
+                    expect_package(package)
+                    stack.enter_context(holding(target))
+                    check_replaceable(target)
+            if self.png is not None:
+                self.say("film     6 frames")
+                write_png(self.png, data, shoot(self.file, [self.episode])[0])
+            if self.mp4 is not None:
+                length = int(data.episodes.length[self.episode])
+                frames, fps = clip_frames(length, get_family(data.family).step_s)
+                self.say(f"film     {frames} frames")
+                write_mp4(self.mp4, shoot(self.file, [self.episode], frames)[0], fps)
         return [target for target in (self.png, self.mp4) if target is not None]

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from mpdt.pace import Pace
-
 if TYPE_CHECKING:
     from mpdt.data.collect.collect import Progress
 
+LINE_EVERY_S = 10.0
 
-class Speed:
+
+class Pace:
     """Steps per second and time left, from what this run has done itself."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -67,14 +67,16 @@ def line_writer(
     write: Callable[[str], None], clock: Callable[[], float] = time.monotonic
 ) -> Callable[[Progress], None]:
     """One line at the start of a resumed run, every 10 s, and at the end."""
-    speed, pace = Speed(clock), Pace(clock=clock)
+    pace = Pace(clock)
+    last = [clock()]
 
     def tell(progress: Progress) -> None:
         if progress.last is None:
             if note := resume_note(progress):
                 write(note)
-        elif pace.is_time(anyway=progress.done_blocks == progress.num_blocks):
-            write(f"collect  {speed.text(progress)}")
+        elif clock() - last[0] >= LINE_EVERY_S or progress.done_blocks == progress.num_blocks:
+            last[0] = clock()
+            write(f"collect  {pace.text(progress)}")
 
     return tell
 
@@ -99,7 +101,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
     from rich.progress import Progress as RichProgress
 
     console = Console(stderr=True)  # a narrow one has no room for the block's label
-    speed = Speed()
+    pace = Pace()
     columns = (TextColumn("collect"), BarColumn(bar_width=12), TextColumn("{task.description}"))
     with RichProgress(*columns, console=console, transient=False) as bar:
         task = bar.add_task("", total=None)
@@ -111,7 +113,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
                 task,
                 total=progress.num_steps,
                 completed=progress.done_steps,
-                description=speed.text(progress, label=console.width >= 110),
+                description=pace.text(progress, label=console.width >= 110),
             )
 
         yield tell

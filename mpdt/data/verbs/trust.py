@@ -47,7 +47,7 @@ class Verify(Options):
         from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.verify.finding import Outcome
         from mpdt.data.verify.verify import markdown, summary, verify
-        from mpdt.disk import disk, replacing
+        from mpdt.disk import write_bytes
         from mpdt.errors import DataError
 
         report = verify(
@@ -60,8 +60,7 @@ class Verify(Options):
         )
         findings = report.findings
         if self.markdown is not None:
-            with replacing(self.markdown) as temporary, disk(self.markdown):
-                temporary.write_text(markdown(report), encoding="utf-8")
+            write_bytes(self.markdown, markdown(report).encode())
         self.print(
             {
                 "path": str(report.path),

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
@@ -19,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.data.reference import Reference, level
-from mpdt.errors import StorageError
 from mpdt.train.evaluate.aggregate import bootstrap
 
 Block = Literal["train", "test"]
@@ -154,26 +151,6 @@ def with_verdicts(scores: Sequence[Score]) -> list[Score]:
         else msgspec.structs.replace(score, beats_trivial=verdict(score))
         for score in scores
     ]  # fmt: skip
-
-
-def write_atomic(path: Path, content: bytes) -> None:
-    """The old file or the new one, never half of it.
-
-    Raises: StorageError if the disk is full or the folder cannot be written.
-    """
-    draft = path.with_name(path.name + ".tmp")
-    try:
-        with draft.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
-    except OSError as error:
-        draft.unlink(missing_ok=True)
-        raise StorageError(
-            f"cannot write: {error.strerror}", where=str(path),
-            hint="free some space or choose another folder with --runs-dir",
-        ) from error  # fmt: skip
 
 
 def encode_results(header: Mapping[str, Any], scores: Sequence[Score]) -> bytes:

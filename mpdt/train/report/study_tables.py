@@ -7,9 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from mpdt.disk import disk
+from mpdt.disk import disk, write_bytes
 from mpdt.draw.table import Table, markdown_page, rich_tables
-from mpdt.train.evaluate.score import write_atomic
 from mpdt.train.evaluate.tables import NORMALISED
 from mpdt.train.run.show import WIDTH_WITHOUT_TERMINAL
 from mpdt.train.study.claims import CLAIMED_OF, GOALS, claims_table, goals_table
@@ -45,7 +44,7 @@ def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
         with disk(output):
             output.mkdir(parents=True, exist_ok=True)
         markdown = markdown_page({"name": folder.name}, tables, NORMALISED)
-        write_atomic(output / "tables.md", markdown.encode())
-        write_atomic(output / "tables.csv", cells_csv(cells).encode())
+        write_bytes(output / "tables.md", markdown.encode())
+        write_bytes(output / "tables.csv", cells_csv(cells).encode())
         draw_study(cells, output)
         draw_kept_prompts(cells, folder, output)

@@ -2,7 +2,6 @@
 
 runs/<name>/
   config.json           settings and data; refuses another run
-  run.pid               lock of the process at work, while there is one
   metrics.jsonl         losses while it goes
   checkpoint-PHASE.safetensors   exact resume, until the phase has all its updates
   teacher.safetensors   teacher prompts with their time table and head
@@ -24,8 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from mpdt.data.spec.change import changed_keys
-from mpdt.data.store.lock import take_lock
-from mpdt.disk import disk
+from mpdt.disk import disk, holding, write_bytes
 from mpdt.errors import (
     FormatError,
     MissingFileError,
@@ -34,7 +32,6 @@ from mpdt.errors import (
     TrainingError,
     UsageError,
 )
-from mpdt.train.evaluate.score import write_atomic
 from mpdt.train.fit.log import MetricsLog
 from mpdt.train.run.config import TrainConfig, from_plain
 from mpdt.train.run.identity import Identity
@@ -51,10 +48,6 @@ class RunFolder:
     @property
     def config(self) -> Path:
         return self.path / "config.json"
-
-    @property
-    def lock(self) -> Path:
-        return self.path / "run.pid"
 
     @property
     def log(self) -> MetricsLog:
@@ -115,7 +108,7 @@ def inspect(folder: RunFolder, identity: Identity, restart: bool) -> None:
         if folder.config.exists():
             if not restart:
                 _compare(folder, identity)
-        elif any(entry.name not in _LEFTOVERS for entry in path.iterdir()):
+        elif any(not _LEFTOVER.fullmatch(entry.name) for entry in path.iterdir()):
             raise TrainingError("this folder holds files but no run", where=str(path),
                                 hint="choose another --name, or move it away")  # fmt: skip
 
@@ -130,22 +123,21 @@ def claimed(folder: RunFolder, identity: Identity, restart: bool) -> Iterator[No
     """
     inspect(folder, identity, restart)
     with disk(folder.path):
-        lock = take_lock(
-            folder.lock, "another mpdt-train is at work in this folder", folder.path,
-            "it writes a checkpoint before it ends",
-        )  # fmt: skip
-    try:
+        folder.path.parent.mkdir(parents=True, exist_ok=True)
+    # Training takes hours: whoever waited a little would only leave a little later.
+    with holding(folder.path, amends=True, wait_s=0, kept="it writes a checkpoint before it ends"):
         inspect(folder, identity, restart)  # again: only now nobody else can change it
-        if restart:
-            _clear(folder)
-        stored = {"format": FORMAT, "training": identity.training, "judging": identity.judging}
-        write_atomic(folder.config, (json.dumps(stored, indent=1) + "\n").encode())
-        yield
-    finally:
-        with suppress(OSError):
-            folder.lock.unlink(missing_ok=True)
-            folder.path.rmdir()  # only if nothing was written: a full disk leaves no trace
-        lock.close()
+        try:
+            with disk(folder.path):
+                folder.path.mkdir(exist_ok=True)
+            if restart:
+                _clear(folder)
+            stored = {"format": FORMAT, "training": identity.training, "judging": identity.judging}
+            write_bytes(folder.config, (json.dumps(stored, indent=1) + "\n").encode())
+            yield
+        finally:
+            with suppress(OSError):
+                folder.path.rmdir()  # only if nothing was written: a full disk leaves no trace
 
 
 def _compare(folder: RunFolder, identity: Identity) -> None:
@@ -223,15 +215,15 @@ def stored_settings(path: Path) -> TrainConfig:
 
 
 def _clear(folder: RunFolder) -> None:
-    """Remove everything but the lock; config.json last, so that a kill leaves a run's folder."""
+    """Remove everything; config.json last, so that a kill leaves a run's folder."""
     with disk(folder.path):
         for entry in sorted(folder.path.iterdir(), key=lambda entry: entry == folder.config):
             if entry.is_dir() and not entry.is_symlink():
                 shutil.rmtree(entry)
-            elif entry != folder.lock:
+            else:
                 entry.unlink()
 
 
 _ELSEWHERE = "choose another --name or --runs-dir"
-# What a kill in the first moment leaves in a new folder.
-_LEFTOVERS = ("run.pid", "config.json.tmp")
+# What a kill in the first moment leaves in a new folder; the first two are of older versions.
+_LEFTOVER = re.compile(r"run\.pid|config\.json\.tmp|\.config\.json\.[0-9a-f]{16}\.(tmp|lock)")

@@ -14,11 +14,11 @@ from typing import Any, Literal
 
 import torch
 
-from mpdt.disk import disk
+from mpdt.disk import disk, write_bytes
 from mpdt.draw.table import markdown_page
 from mpdt.errors import MissingFileError, UsageError
 from mpdt.model.backbone import from_settings
-from mpdt.train.evaluate.score import encode_results, write_atomic
+from mpdt.train.evaluate.score import encode_results
 from mpdt.train.evaluate.tables import NORMALISED, build_tables
 from mpdt.train.fit.data import Material
 from mpdt.train.fit.group import Group
@@ -114,8 +114,8 @@ def _train_and_judge(trainer: Trainer) -> dict[str, Any]:
     # results.json goes first and comes last: it is what marks a run as done.
     with disk(folder.results):
         set_aside(folder)
-    write_atomic(folder.report, markdown_page(facts, build_tables(scores), NORMALISED).encode())
-    write_atomic(folder.results, content)
+    write_bytes(folder.report, markdown_page(facts, build_tables(scores), NORMALISED).encode())
+    write_bytes(folder.results, content)
     with disk(folder.path):
         folder.judged(prepared.identity.hashes["judging"]).unlink(missing_ok=True)
     progress.say(f"written to {folder.path}")

@@ -17,9 +17,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mpdt.disk import disk
+from mpdt.disk import disk, write_bytes
 from mpdt.errors import MissingFileError, MpdtError
-from mpdt.train.evaluate.score import write_atomic
 from mpdt.train.run.config import TrainConfig, from_plain, to_plain
 from mpdt.train.run.folder import locate
 from mpdt.train.run.identity import plain_settings
@@ -136,7 +135,7 @@ def _run_cell(
     with disk(places.results):
         places.results.mkdir(parents=True, exist_ok=True)
     keep_prompts(folder.weights, places.prompts(cell))
-    write_atomic(places.result(cell), encode_cell(results | extra))
+    write_bytes(places.result(cell), encode_cell(results | extra))
 
 
 def config_hash(plain: Mapping[str, Any]) -> str:

@@ -25,7 +25,7 @@ from mpdt.data.remote.pull import pull
 from mpdt.data.remote.push import push
 from mpdt.data.remote.sums import FILE_NAME
 from mpdt.data.store.reader import open_dataset
-from mpdt.errors import DataError, RemoteError
+from mpdt.errors import DataError, RemoteError, StorageError
 
 Run = Callable[..., tuple[int, str, str]]
 Wire = Any
@@ -125,7 +125,7 @@ def test_a_killed_pull_goes_on(http: Wire, export: Path, tmp_path: Path) -> None
 def test_a_part_of_another_state_is_not_continued(
     http: Wire, collected: Path, tmp_path: Path
 ) -> None:  # fmt: skip
-    """A changed source, or a part without a note, starts anew; a damaged part is found."""
+    """A changed source starts anew; a damaged part is found; one without a note is not ours."""
     served, target = tmp_path / "served/x.h5", tmp_path / "x.h5"
     part, note = tmp_path / "x.h5.part", tmp_path / "x.h5.part.json"
     url = f"http://127.0.0.1:{http.port}/x.h5"
@@ -137,8 +137,16 @@ def test_a_part_of_another_state_is_not_continued(
     assert not part.exists()  # nothing was known of the source yet
     http.cuts = []
     part.write_bytes(b"?" * 1000)
-    assert pull(url, target).num_new_bytes == len(content)
-    target.unlink()
+    with pytest.raises(StorageError, match="in the way"):
+        pull(url, target)
+    assert part.read_bytes() == b"?" * 1000 and not note.exists()
+    part.unlink()
+    for odd in (part, note):
+        odd.symlink_to(tmp_path / "home")
+        with pytest.raises(StorageError, match="in the way"):
+            pull(url, target)
+        odd.unlink()
+    assert not (tmp_path / "home").exists()
 
     def half(of: bytes) -> None:
         """A pull that stops with these bytes in its part and the right note."""
@@ -186,10 +194,23 @@ def test_a_server_without_ranges(collected: Path, tmp_path: Path) -> None:
 
 def test_what_an_earlier_source_left_does_not_arrive(export: Path, tmp_path: Path) -> None:
     push(export, str(tmp_path / "set"))
-    (tmp_path / "back.part").mkdir()
-    (tmp_path / "back.part/old.txt").write_text("of another state")
-    (tmp_path / "back.part/README.md").write_text("hullo\n")
+    back = tmp_path / "back.part"
+    back.mkdir()
+    (back / "notes.txt").write_text("a user's own")
+    with pytest.raises(StorageError, match="in the way"):
+        pull(str(tmp_path / "set"), tmp_path / "back")
+    back.rename(tmp_path / "moved")
+
+    def interrupt(name: str, done: int, size: int | None) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pull(str(tmp_path / "set"), tmp_path / "back", tell=interrupt)
+    (back / "old.txt").write_text("of another state")
+    (back / "README.md").write_text("hullo\n")
     pull(str(tmp_path / "set"), tmp_path / "back")
+    left = {path.name for path in tmp_path.iterdir()}
+    assert not left & {"back.part", "back.part.json"}
     assert tree(tmp_path / "back") == tree(export)
 
 

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from mpdt.data.slices.cut import Cut, choose, cut_file
+from mpdt.data.slices.drop import drop
+from mpdt.data.slices.merge import merge
 from mpdt.data.slices.split import split
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset, open_tta_rewards
@@ -133,10 +135,25 @@ def test_stats_without_train_tasks_are_inherited(data: Dataset, tmp_path: Path) 
     assert cut.stats["returns"]["mean"].tolist() == data.stats["returns"]["mean"].tolist()
 
 
-def test_a_cut_out_may_only_replace_a_cut_out(data: Dataset, tmp_path: Path) -> None:
+def test_a_cut_out_may_only_replace_the_same_cut_out(data: Dataset, tmp_path: Path) -> None:
     target = tmp_path / "m.h5"
     cut_file(data, Cut(quality="medium"), target)
-    assert cut_file(data, Cut(quality="expert"), target).episodes.returns[0] == 5.0
+    with pytest.raises(DataError, match="by another rule"):
+        cut_file(data, Cut(quality="expert"), target)
+    few = cut_file(data, Cut(episodes=1), tmp_path / "few.h5")
+    with pytest.raises(DataError, match="of other sources"):
+        cut_file(few, Cut(quality="medium"), target)
+    assert cut_file(data, Cut(quality="medium"), target).num_episodes > 0
+    drop(data, tmp_path / "d.h5", [0])
+    expert = cut_file(data, Cut(quality="expert"), tmp_path / "e.h5")
+    merge([open_dataset(target), expert], tmp_path / "both.h5")
+    for name, verb in (("d", "drop"), ("both", "merge")):
+        with pytest.raises(DataError, match=f"made by {verb}"):
+            cut_file(data, Cut(quality="medium"), tmp_path / f"{name}.h5")
+    drop(data, tmp_path / "d.h5", [0])
+    merge([open_dataset(target), expert], tmp_path / "both.h5")
+    with pytest.raises(DataError, match="of other sources"):
+        merge([expert, open_dataset(target)], tmp_path / "both.h5")
     before = data.path.read_bytes()
     with pytest.raises(DataError, match="replace another file"):
         cut_file(data, Cut(quality="medium"), data.path)

@@ -177,7 +177,8 @@ def test_finish_sees_the_episodes_and_adds(tmp_path, kit):
                          {"forward": KNOWN})  # fmt: skip
 
     made = write_file(tmp_path / "a.h5", kit.header, kit.source(), finish=finish)
-    assert seen == [("a.h5.tmp", 4, [1, 1, 2, 1, 2, 3, 1])]
+    assert [one[1:] for one in seen] == [(4, [1, 1, 2, 1, 2, 3, 1])]
+    assert seen[0][0].startswith(".a.h5.") and seen[0][0].endswith(".tmp")
     assert made.slices["train"].tolist() == [0, 1, 2]
     assert made.slice_rules["train"] == {"task": "forward"}
     assert made.tasks.ref_random.tolist() == [1.5, -1.0]

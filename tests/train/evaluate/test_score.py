@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mpdt.data.reference import UNKNOWN, Reference
-from mpdt.errors import StorageError
 from mpdt.train.evaluate.score import (
     EXPERT,
     MEAN,
@@ -17,7 +16,6 @@ from mpdt.train.evaluate.score import (
     expert_scores,
     scores_of,
     with_verdicts,
-    write_atomic,
 )
 from mpdt.train.run.results import scores_in
 
@@ -109,15 +107,3 @@ def test_results_are_read_back(tmp_path):
                  beats_trivial=False, reads="X")  # fmt: skip
     (score,) = scores_in(json.loads(encode_results({}, [said])))
     assert (score.beats_trivial, score.reads) == (False, "X") and np.isnan(score.normalised)
-
-
-def test_atomic_write_replaces_and_cleans_up(tmp_path):
-    target = tmp_path / "a.json"
-    write_atomic(target, b"old")
-    write_atomic(target, b"new")
-    assert target.read_bytes() == b"new" and list(tmp_path.iterdir()) == [target]
-
-
-def test_write_into_a_missing_folder_is_a_storage_error(tmp_path):
-    with pytest.raises(StorageError, match="cannot write"):
-        write_atomic(tmp_path / "gone" / "a.json", b"x")

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -218,12 +219,27 @@ def test_a_second_process_is_refused_by_name(again, tiny_file, capsys):
     folder, arguments = again
     identity = prepare(TrainConfig(), str(tiny_file)).identity
     own = locate(folder.parent, "new")
-    with claimed(own, identity, restart=False):
+    lock = folder.parent / ".new.lock"
+    taken, done = threading.Event(), threading.Event()
+
+    def hold():
+        with claimed(own, identity, restart=False):
+            taken.set()
+            done.wait(60)
+
+    # A thread of its own stands for a process of its own.
+    other = threading.Thread(target=hold)
+    other.start()
+    try:
+        assert taken.wait(60) and lock.exists()
         assert call(*arguments[:-1], "new", "--restart") == 4
         error = capsys.readouterr().err
-        assert f"another mpdt-train is at work in this folder (process {os.getpid()})" in error
+        assert "another process writes it" in error and f"process {os.getpid()} on" in error
         assert own.config.exists(), "--restart of the refused one removed nothing"
-    assert not own.lock.exists()
+    finally:
+        done.set()
+        other.join()
+    assert not lock.exists()
 
 
 def test_a_stored_run_is_adapted_and_evaluated_without_training(again, tiny_file, capsys):

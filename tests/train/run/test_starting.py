@@ -61,13 +61,15 @@ def test_a_full_disk_leaves_no_folder(tiny_file, tmp_path, monkeypatch, capsys):
     def full(path, content):
         raise StorageError("the disk is full", where=str(path))
 
-    monkeypatch.setattr(folder, "write_atomic", full)
+    monkeypatch.setattr(folder, "write_bytes", full)
     assert call("--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r", "-q") == 1
     assert "the disk is full" in capsys.readouterr().err
     assert names_in(tmp_path) == []
 
 
-@pytest.mark.parametrize("leftover", ["run.pid", "config.json.tmp"])
+@pytest.mark.parametrize(
+    "leftover", ["run.pid", "config.json.tmp", ".config.json.0123456789abcdef.tmp"]
+)
 def test_a_kill_in_the_first_moment_does_not_block_the_name(
     tiny_file, tmp_path, leftover, monkeypatch
 ):
