@@ -45,7 +45,7 @@ demo: .venv/ready
 	cd demo && ../$(BIN)/mpdt-train --data cheetah_dir.h5 --preset demo
 
 test: .venv/ready
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto --dist worksteal
 
 check: .venv/ready
 	$(BIN)/ruff check .

@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -19,12 +21,14 @@ def run(script: str, target: Path, *options: str) -> Any:
     return json.loads(target.read_text())
 
 
+@pytest.mark.long
 def test_three_kills(tmp_path: Path) -> None:
-    found = run("torture.py", tmp_path / "x.json", "--kills", "3", "--seed", "2")
+    found = run("torture.py", tmp_path / "x.json", "--kills", "3", "--seed", "2", "--size", "0.25")
     assert found["kills"] == 3
     assert found["finished files compared"] >= 1
 
 
+@pytest.mark.long
 def test_a_little_damage(tmp_path: Path) -> None:
     found = run("fuzz.py", tmp_path / "x.json", "--flips", "10", "--mutations", "35")
     counts = [sum(row.values()) for name, row in found.items() if name != "seed"]

