@@ -50,7 +50,7 @@ def collect(
             script; 0 = in this process.
         restart: begin anew and replace what is there.
         smoke: a tiny version with the same tasks, as NAME-smoke.
-        tiny: what `smoke` was called up to 1.0.
+        tiny: the former name of `smoke`.
     Remarks come as UserWarning. Raises: as `make_job` and `collect.collect`.
     """
     if tiny is not None:

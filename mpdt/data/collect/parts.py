@@ -29,6 +29,7 @@ from mpdt.data.collect.plan import Block
 from mpdt.data.episode import Episode
 from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.digest import episode_digest
+from mpdt.data.store.tables import Steps
 from mpdt.disk import disk, holding, replacing, write_bytes
 from mpdt.errors import DataError
 
@@ -148,25 +149,24 @@ class Part:
 
         Raises: DataError if it is missing, damaged or made for another block.
         """
-        data = self._load("length", "goal", "goal_dim", "seed_key", "progress", "policy")
+        labels = ("length", "goal", "goal_dim", "seed_key", "progress", "policy")
+        data = self._load(*_COLUMNS, *labels)
         self._check_keys(data["seed_key"])
-        ends = np.cumsum(data["length"])
+        steps = Steps(**{name: data[name] for name in _COLUMNS}, successes=data.get("successes"))
+        starts = np.cumsum(data["length"]) - data["length"]
         episodes = []
-        for row, (end, length) in enumerate(zip(ends, data["length"], strict=True)):
-            steps = slice(end - length, end)
-            observations = data["observations"][end - length + row : end + row + 1]
-            successes = data["successes"][steps] if "successes" in data else None
+        for row, (start, length) in enumerate(zip(starts, data["length"], strict=True)):
             episodes.append(
-                Episode(
-                    observations=observations,
-                    **{name: data[name][steps] for name in _COLUMNS[1:]},
-                    successes=successes,
+                steps.episode(
+                    int(start),
+                    int(start) + row,
+                    int(length),
+                    data["seed_key"][row],
                     task=self.block.task.index,
                     goal=data["goal"][row, : data["goal_dim"][row]],
                     quality=int(self.block.quality),
                     progress=float(data["progress"][row]),
                     policy=data["policy"][row].tobytes(),
-                    seed_key=tuple(int(number) for number in data["seed_key"][row]),  # type: ignore[arg-type]
                 )
             )
             if episode_digest(episodes[-1], self.block.task.name) != data["digest"][row].tobytes():

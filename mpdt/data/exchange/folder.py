@@ -2,26 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from mpdt.errors import DataError, MissingFileError, StorageError
+from mpdt.reading import refuse_special
 
 
 def files_below(paths: Sequence[Path], *suffixes: str) -> list[Path]:
     """The given files, and those with one of `suffixes` anywhere below the given folders.
 
-    Raises: MissingFileError.
+    Links are followed, to a folder once.
+
+    Raises: MissingFileError, also for a link that leads nowhere; FormatError for a pipe, socket or
+        device of that name.
     """
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
-            found += sorted(p for p in path.rglob("*") if p.suffix in suffixes and p.is_file())
+            found += [one for one in _below(path, set()) if one.suffix in suffixes]
         elif path.exists():
             found.append(path)
         else:
             raise MissingFileError("no such file or folder", where=str(path))
+    for path in found:
+        refuse_special(path)
     return found
+
+
+def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
+    place = folder.stat()
+    if (place.st_dev, place.st_ino) in seen:
+        return
+    seen.add((place.st_dev, place.st_ino))
+    for path in sorted(folder.iterdir()):
+        if path.is_dir():
+            yield from _below(path, seen)
+        elif path.is_symlink() and not path.exists():
+            raise MissingFileError("a link that leads nowhere", where=str(path),
+                                   found=str(path.readlink()),
+                                   hint="mend or delete it")  # fmt: skip
+        else:
+            yield path
 
 
 def refuse_existing(target: Path) -> None:

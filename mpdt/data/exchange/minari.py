@@ -37,6 +37,7 @@ from mpdt.data.exchange.treatment import RawEpisode, Rules
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.sources import EpisodeSource
 from mpdt.errors import DataError, FormatError, UsageError
+from mpdt.reading import read_plain
 from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
 VERSION = "0.5.0"  # readers accept an exact list; all since 0.5.0 have this one in it
@@ -192,10 +193,11 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
 
 def _read_metadata(folder: Path) -> dict[str, Any]:
     path = folder / "metadata.json"
+    content = read_plain(path)
     try:
-        metadata = json.loads(path.read_bytes())
+        metadata = json.loads(content)
         form, episodes = metadata["data_format"], metadata["total_episodes"]
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise FormatError("not the metadata of a Minari dataset", where=str(path),
                           found=f"{type(error).__name__}: {error}"[:120]) from error  # fmt: skip
     if form != "hdf5" or type(episodes) is not int or type(metadata.get(KEY, "")) is not str:

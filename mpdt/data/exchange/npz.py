@@ -17,6 +17,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +33,19 @@ from mpdt.data.exchange.selection import Selection
 from mpdt.data.exchange.treatment import Rules
 from mpdt.data.store.layout import EPISODES, GOALS, STEPS
 from mpdt.data.store.sources import EpisodeSource
-from mpdt.errors import FormatError
+from mpdt.errors import FormatError, MpdtError
+from mpdt.reading import TEXT_BYTES, open_plain
 
 Arrays = dict[str, NDArray[Any]]
+
+_MOST_COMPRESSED = 100
+"""Bytes per stored one at most. We store them plainly; others may have packed them again."""
+_EPISODES = {column.path: f"episodes/{column.path}" for column in EPISODES}
+_GOALS = {column.path: f"goals/{column.path}" for column in GOALS}
+_ROWS = dict.fromkeys((column.path for column in STEPS), "N") | dict.fromkeys(
+    _EPISODES.values(), "E"
+)
+"""What counts the rows of an array: N steps and one more per episode, or E episodes."""
 
 _PER_STEP = [column.path for column in STEPS if column.path != "observations"]
 # What numpy and zipfile raise about bytes that make no sense.
@@ -78,18 +89,18 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     """
     path = single_file(files_below(paths, ".npz"), "an .npz file", str(paths[0]))
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-        text = arrays[KEY].tobytes()
+        with open_plain(path) as file, zipfile.ZipFile(file) as archive:
+            text = _manifest(archive)
+            manifest = Manifest.from_json(text, str(path))
+            arrays = {name: _array(archive, name, manifest, path) for name in _wanted(archive)}
+    except MpdtError:
+        raise
     except _DAMAGE as error:
         raise FormatError("damaged, or not an export of mpdt", where=str(path),
                           found=f"{type(error).__name__}: {error}"[:120]) from error  # fmt: skip
-    manifest = Manifest.from_json(text, str(path))
-    episodes = {c.path: f"episodes/{c.path}" for c in EPISODES}
-    goals = {c.path: f"goals/{c.path}" for c in GOALS}
     table = EpisodeTable(
-        {key: arrays[name] for key, name in episodes.items() if name in arrays},
-        {key: arrays[name] for key, name in goals.items() if name in arrays},
+        {name: arrays[key] for name, key in _EPISODES.items() if key in arrays},
+        {name: arrays[key] for name, key in _GOALS.items() if key in arrays},
     )
     table.check(manifest, str(path))
     _check_steps(arrays, manifest, str(path))
@@ -98,6 +109,47 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
         table.source_ids(),
     )  # fmt: skip
     return manifest.incoming(source)
+
+
+def _wanted(archive: zipfile.ZipFile) -> list[str]:
+    """Names of the arrays that are read; whatever else lies in the archive is not looked at."""
+    names = [column.path for column in STEPS] + [*_EPISODES.values(), *_GOALS.values()]
+    there = set(archive.namelist())
+    return [name for name in names if f"{name}.npy" in there]
+
+
+def _manifest(archive: zipfile.ZipFile) -> bytes:
+    info = archive.getinfo(f"{KEY}.npy")
+    if info.file_size > TEXT_BYTES:
+        raise ValueError(f"a manifest of {info.file_size:,} bytes")
+    with archive.open(info) as file:
+        text: bytes = np.lib.format.read_array(file, allow_pickle=False).tobytes()
+    return text
+
+
+def _array(archive: zipfile.ZipFile, name: str, manifest: Manifest, path: Path) -> NDArray[Any]:
+    """One array, once it is known to be what the manifest announces, and no larger.
+
+    Raises: FormatError for another type or number of rows; what numpy says of damage.
+    """
+    info = archive.getinfo(f"{name}.npy")
+    with archive.open(info) as file:
+        version = np.lib.format.read_magic(file)
+        read_header = {(1, 0): np.lib.format.read_array_header_1_0,
+                       (2, 0): np.lib.format.read_array_header_2_0}[version]  # fmt: skip
+        shape, _, dtype = read_header(file)
+    counts = {"N": manifest.num_steps + manifest.num_episodes, "E": manifest.num_episodes}
+    rows = counts.get(_ROWS.get(name, ""))
+    if dtype.hasobject or (rows is not None and shape[:1] != (rows,)):
+        raise FormatError(f"array {name} is wrong", where=str(path), expected=f"{rows} rows",
+                          found=f"{dtype} of shape {shape}")  # fmt: skip
+    size = prod(shape) * dtype.itemsize
+    if size > min(info.file_size, _MOST_COMPRESSED * path.stat().st_size):
+        raise FormatError(f"array {name} is larger than its file can hold", where=str(path),
+                          found=f"{size:,} bytes")  # fmt: skip
+    with archive.open(info) as file:
+        array: NDArray[Any] = np.lib.format.read_array(file, allow_pickle=False)
+    return array
 
 
 def _check_steps(arrays: Arrays, manifest: Manifest, where: str) -> None:

@@ -35,6 +35,7 @@ from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.data.store.layout import EPISODES, GOALS, STEPS
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.errors import FormatError, MpdtError, ShapeError
+from mpdt.reading import refuse_special
 
 MAX_FILE_BYTES = 500_000_000
 _COMPRESSION = "zstd"
@@ -44,6 +45,8 @@ _STEPS = {
     "termination": "terminations", "truncation": "truncations", "success": "successes",
 }  # fmt: skip
 _DTYPES = {column.path: column.dtype for column in STEPS + EPISODES + GOALS}
+_MOST_COMPRESSED = 1000
+"""Bytes per stored one at most; rewards of zeros are the worst of what we write."""
 _DAMAGE = (pa.ArrowException, OSError, KeyError, ValueError, TypeError, IndexError)
 
 
@@ -157,9 +160,11 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     folder = single_file(found, "an episodes.parquet", str(paths[0])).parent
     where = str(folder)
     try:
-        episodes, goals = _table(folder / "episodes.parquet"), _table(folder / "goals.parquet")
-        text = (episodes.schema.metadata or {})[KEY.encode()]
+        text = (_schema(folder / "episodes.parquet").metadata or {})[KEY.encode()]
         manifest = Manifest.from_json(text, where)
+        names = [column.path for column in EPISODES] + ["final_observation"]
+        episodes = _table(folder / "episodes.parquet", names, manifest.num_episodes)
+        goals = _table(folder / "goals.parquet", [column.path for column in GOALS])
         table = EpisodeTable(_columns(episodes, EPISODES), _columns(goals, GOALS))
         final = arrow.array(episodes, "final_observation", "<f4")
     except MpdtError:
@@ -176,8 +181,43 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     return manifest.incoming(source)
 
 
-def _table(path: Path) -> Any:
-    return pq.read_table(path, partitioning=None)
+def _schema(path: Path) -> Any:
+    refuse_special(path)
+    return pq.read_schema(path)
+
+
+def _table(path: Path, names: Sequence[str], rows: int | None = None) -> Any:
+    """The columns of these names, as far as they are there, of a table of `rows` rows.
+
+    Raises: FormatError where it announces other rows, or more than a file of its size can hold.
+    """
+    refuse_special(path)
+    with pq.ParquetFile(path) as file:
+        _check_rows(path, file.schema_arrow, names, file.metadata.num_rows, rows)
+        found = [name for name in names if name in file.schema_arrow.names]
+        return file.read(columns=found, use_threads=False)
+
+
+def _check_rows(
+    path: Path, schema: Any, names: Sequence[str], found: int, wanted: int | None
+) -> None:
+    """A run of equal numbers takes no place in the format: a shape may say anything."""
+    if wanted is not None and found != wanted:
+        raise FormatError("not the announced number of rows", where=str(path),
+                          expected=f"{wanted:,}", found=f"{found:,}")  # fmt: skip
+    fields = [schema.field(name).type for name in names if name in schema.names]
+    if any(isinstance(kind, pa.ListType | pa.StructType | pa.MapType) for kind in fields):
+        raise FormatError("columns of lists of any length", where=str(path))
+    size = found * sum(_width_bytes(kind) for kind in fields)
+    if size > _MOST_COMPRESSED * path.stat().st_size + 1_000_000:
+        raise FormatError("larger than a file of its size can hold", where=str(path),
+                          found=f"{found:,} rows, {size:,} bytes")  # fmt: skip
+
+
+def _width_bytes(kind: Any) -> int:
+    if pa.types.is_fixed_size_list(kind):
+        return int(kind.list_size) * _width_bytes(kind.value_type)
+    return max(1, int(kind.bit_width) // 8)
 
 
 def _columns(table: Any, columns: Sequence[Any]) -> dict[str, NDArray[Any]]:
@@ -195,27 +235,37 @@ def _episodes(
 ) -> Iterator[Episode]:
     groups: dict[str, Iterator[Any]] = {}
     wanted = [name for name in _STEPS if name != "success" or manifest.header.has_success]
+    lengths = table.columns["length"].tolist()
     for i, code in enumerate(table.columns["quality"].tolist()):
         quality = quality_name(code)
         rows = groups.setdefault(quality, _row_groups(folder / "data" / quality))
         where = f"{folder}: episode {i}"
         try:
-            steps = next(rows)
+            steps = _read_group(next(rows), wanted, lengths[i], where)
             found = {_STEPS[n]: arrow.array(steps, n, _DTYPES[_STEPS[n]]) for n in wanted}
         except StopIteration as error:
             raise FormatError("too few row groups", where=where, found=quality) from error
         except _DAMAGE as error:
             raise _damaged(where, error) from error
-        if len(found["rewards"]) != table.columns["length"][i]:
-            raise ShapeError("not its number of steps", where=where,
-                             expected=str(table.columns["length"][i]),
-                             found=str(len(found["rewards"])))  # fmt: skip
         found["observations"] = np.concatenate([found["observations"], final[i : i + 1]])
         yield table.episode(i, manifest, found)
 
 
-def _row_groups(folder: Path) -> Iterator[Any]:
+def _row_groups(folder: Path) -> Iterator[tuple[Path, Any, int]]:
     for path in sorted(folder.glob("*.parquet")):
+        refuse_special(path)
         with pq.ParquetFile(path) as file:
             for number in range(file.num_row_groups):
-                yield file.read_row_group(number, use_threads=False)
+                yield path, file, number
+
+
+def _read_group(place: tuple[Path, Any, int], wanted: list[str], length: int, where: str) -> Any:
+    """The steps of one episode. Raises: ShapeError for another number of them; FormatError."""
+    path, file, number = place
+    found = file.metadata.row_group(number).num_rows
+    if found != length:
+        raise ShapeError("not its number of steps", where=where, expected=str(length),
+                         found=str(found))  # fmt: skip
+    _check_rows(path, file.schema_arrow, wanted, found, length)
+    names = [name for name in wanted if name in file.schema_arrow.names]
+    return file.read_row_group(number, columns=names, use_threads=False)

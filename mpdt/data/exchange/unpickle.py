@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 
 from mpdt.data.exchange.pickle_machine import Machine, RefusedError, kind_of
-from mpdt.errors import FormatError, MissingFileError, StorageError
+from mpdt.errors import FormatError
+from mpdt.reading import read_plain
 
 MAX_BYTES = 1 << 30
 MAX_OPERATIONS = 5_000_000
@@ -86,13 +87,4 @@ def load_bytes(data: bytes, where: str) -> Any:
 
 
 def _read(path: Path) -> bytes:
-    try:
-        if (size := path.stat().st_size) > MAX_BYTES:
-            raise FormatError("too large for a pickle", where=str(path),
-                              expected=f"at most {MAX_BYTES:,} bytes",
-                              found=f"{size:,}")  # fmt: skip
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise MissingFileError("no such file", where=str(path)) from error
-    except OSError as error:
-        raise StorageError("cannot be read", where=str(path), found=str(error)) from error
+    return read_plain(path, MAX_BYTES)

@@ -29,7 +29,8 @@ from mpdt.data.spec.entry import Problem, SpecMistakesError, canonical_json, rai
 from mpdt.data.spec.strict import build
 from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.spec.yamltext import dump_yaml, load_yaml
-from mpdt.errors import FormatError, SpecError, StorageError
+from mpdt.errors import FormatError, MissingFileError, SpecError
+from mpdt.reading import read_plain
 
 FILE_NAME = "datasets.lock"
 SCHEMA = 1
@@ -109,13 +110,11 @@ def read_lock(path: Path) -> dict[str, LockEntry]:
     Raises: FormatError for anything `lock_bytes` would not have written; StorageError.
     """
     try:
-        text = path.read_bytes().decode("utf-8")
-    except FileNotFoundError:
+        text = read_plain(path).decode("utf-8")
+    except MissingFileError:
         return {}
     except UnicodeDecodeError as error:
         raise _damaged(path, "not UTF-8 text") from error
-    except OSError as error:
-        raise StorageError("cannot be read", where=str(path), found=str(error)) from error
     try:
         return parse_lock(text, str(path))
     except SpecError as error:

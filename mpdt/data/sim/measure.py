@@ -38,6 +38,7 @@ from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Task, get_family
 from mpdt.data.workers.processes import map_blocks
 from mpdt.disk import holding
+from mpdt.pace import Pace
 
 FIRST = 20  # episodes before the first decision
 CAP = 1280
@@ -217,7 +218,7 @@ def measure(
                 for count, (portion, scores) in enumerate(answers, 1):
                     campaign.take(portion, scores)
                     clock.steps += portion.steps
-                    if clock.is_time() or count == len(portions):
+                    if clock.pace.is_time(anyway=count == len(portions)):
                         book = _save(target, book, campaign, seed)
                         left = clock.text(campaign.steps_left())
                         on_progress(
@@ -272,14 +273,7 @@ class _Clock:
 
     steps: int = 0
     start: float = field(default_factory=time.monotonic)
-    last: float = field(default_factory=time.monotonic)
-
-    def is_time(self) -> bool:
-        now = time.monotonic()
-        if now - self.last < SAVE_EVERY_S:
-            return False
-        self.last = now
-        return True
+    pace: Pace = field(default_factory=lambda: Pace(SAVE_EVERY_S))
 
     def text(self, steps_left: int) -> str:
         rate = self.steps / max(1e-9, time.monotonic() - self.start)

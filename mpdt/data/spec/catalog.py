@@ -18,6 +18,7 @@ from mpdt.data.spec.entry import (
 from mpdt.data.spec.strict import collect
 from mpdt.data.spec.yamltext import load_yaml
 from mpdt.errors import MissingFileError, SpecError, StorageError, nearest, unknown_name
+from mpdt.reading import read_plain
 
 __all__ = ["Catalog", "load_catalog"]
 
@@ -52,15 +53,13 @@ def load_catalog(path: Path | None = None) -> Catalog:
         raise StorageError("a folder, not a file", where=str(chosen),
                            hint="rename it, or name another file with --spec")  # fmt: skip
     try:
-        text = chosen.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
+        text = read_plain(chosen).decode("utf-8")
+    except MissingFileError as error:
         raise MissingFileError("no such file", where=str(chosen),
                                hint=f"name an existing {FILE_NAME}, or leave the option out for "
                                     "the shipped one") from error  # fmt: skip
     except UnicodeDecodeError as error:
         raise SpecError("not UTF-8 text", where=str(chosen), found=str(error)) from error
-    except OSError as error:
-        raise StorageError("cannot be read", where=str(chosen), found=str(error)) from error
     return Catalog(chosen, parse_catalog(text, str(chosen)))
 
 

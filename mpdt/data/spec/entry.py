@@ -31,6 +31,15 @@ _SEMVER = re.compile(r"\d+\.\d+\.\d+(?:[-+.][0-9A-Za-z.+-]+)?")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
+MOST = {
+    "horizon": 100_000, "seed": 2**63 - 1, "block": 10_000, "reference": 1_000_000,
+    "rungs": 1_000, "episodes": 1_000_000,
+}  # fmt: skip
+"""Largest numbers of an entry; `episodes` per task, of a quality or a set."""
+MOST_BLOCKS = 200_000
+"""Units of work of one entry. The largest shipped one, ml45_paper, has 13,150."""
+
+
 class Behaviour(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Who acts: a shipped behaviour network or a scripted policy, exactly one of the two.
 
@@ -167,11 +176,10 @@ def find_problems(spec: DatasetSpec) -> list[Problem]:
     if not spec.license:
         problems.append(("license", "empty", "an SPDX id such as CC-BY-4.0"))
     for key, least in (("horizon", 1), ("seed", 0), ("block", 1), ("reference", 1)):
-        if (number := getattr(spec, key)) < least:
-            problems.append((key, f"{number} is too small", f"at least {least}"))
+        problems += _range_problems(key, getattr(spec, key), least, MOST[key])
     for quality in EpisodeCounts.__struct_fields__:
-        if spec.episodes.of(quality) < 0:
-            problems.append((f"episodes.{quality}", "negative", "0 or more episodes per task"))
+        count = spec.episodes.of(quality)
+        problems += _range_problems(f"episodes.{quality}", count, 0, MOST["episodes"])
     problems += _behaviour_problems(spec)
     problems += [problem for name in spec.tta for problem in _tta_problems(name, spec.tta[name])]
     if spec.family not in FAMILIES:
@@ -179,15 +187,33 @@ def find_problems(spec: DatasetSpec) -> list[Problem]:
         near = nearest(spec.family, FAMILIES)
         what = f"unknown family '{spec.family}' {near}".rstrip()
         return [*problems, ("family", what, f"known: {known}")]
-    return problems + _family_problems(spec, FAMILIES[spec.family])
+    problems += _family_problems(spec, FAMILIES[spec.family])
+    if not problems and (count := _num_blocks(spec)) > MOST_BLOCKS:
+        what = f"asks for {count:,} blocks of work"
+        problems.append(("episodes", what, f"at most {MOST_BLOCKS:,}: fewer episodes or tasks, or "
+                         "larger blocks"))  # fmt: skip
+    return problems
+
+
+def _range_problems(key: str, number: int, least: int, most: int) -> list[Problem]:
+    if number < least:
+        return [(key, f"{number} is too small", f"at least {least}")]
+    return [(key, f"{number:,} is too large", f"at most {most:,}")] if number > most else []
+
+
+def _num_blocks(spec: DatasetSpec) -> int:
+    """At most, whichever tasks a set is for and whatever is on record."""
+    counts = [spec.episodes.of(quality) for quality in EpisodeCounts.__struct_fields__]
+    counts += [rule.episodes for rule in spec.tta.values()] + [spec.reference] * 3
+    each = sum(-(-count // spec.block) for count in counts) + spec.behaviour.rungs
+    return len(spec.resolve_tasks()) * each
 
 
 def _behaviour_problems(spec: DatasetSpec) -> list[Problem]:
     behaviour, problems = spec.behaviour, list[Problem]()
     if (behaviour.network is None) == (behaviour.script is None):
         problems.append(("behaviour", "needs exactly one of network and script", ""))
-    if behaviour.rungs < 2:
-        problems.append(("behaviour.rungs", f"{behaviour.rungs} is too small", "at least 2"))
+    problems += _range_problems("behaviour.rungs", behaviour.rungs, 2, MOST["rungs"])
     if not (math.isfinite(behaviour.noise) and behaviour.noise >= 0):
         problems.append(("behaviour.noise", f"{behaviour.noise} is not a noise", "0 or more"))
     return problems
@@ -197,14 +223,13 @@ def _tta_problems(name: str, rule: TtaRule) -> list[Problem]:
     key, problems = f"tta.{name}", list[Problem]()
     if not _NAME.fullmatch(name):
         problems.append((key, f"{name!r} cannot name a set", "letters, digits, . _ -"))
-    if rule.episodes < 1:
-        problems.append((f"{key}.episodes", f"{rule.episodes} is too small", "at least 1"))
+    problems += _range_problems(f"{key}.episodes", rule.episodes, 1, MOST["episodes"])
     if not (math.isfinite(rule.action_scale) and rule.action_scale > 0):
         problems.append((f"{key}.action_scale", f"{rule.action_scale} is not a range", "over 0"))
     if rule.preset_return != "auto" and not math.isfinite(rule.preset_return):
         problems.append((f"{key}.preset_return", "not finite", "a number or auto"))
-    if rule.horizon is not None and rule.horizon < 1:
-        problems.append((f"{key}.horizon", f"{rule.horizon} is too small", "at least 1"))
+    if rule.horizon is not None:
+        problems += _range_problems(f"{key}.horizon", rule.horizon, 1, MOST["horizon"])
     return problems
 
 

@@ -14,6 +14,8 @@ import msgspec
 
 from mpdt.seeding import HISTORY_STRIDE, Quality, SeedKey
 
+MOST_GOALS = 1_000_000
+
 
 class GoalSet(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How many goals a task has, and how many of them, the last ones, no training episode uses."""
@@ -24,8 +26,10 @@ class GoalSet(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     @property
     def problem(self) -> str:
         """What is wrong with these numbers, or nothing."""
-        if 0 < self.held_out < self.count:
+        if 0 < self.held_out < self.count <= MOST_GOALS:
             return ""
+        if self.count > MOST_GOALS:
+            return f"{self.count:,} goals are too many: at most {MOST_GOALS:,}"
         return f"{self.held_out} of {self.count} goals cannot be held out"
 
     def training_key(self, key: SeedKey, block_rows: int) -> SeedKey:

@@ -2,7 +2,7 @@
 
 Stock PyYAML follows YAML 1.1: `1e-4` is text, `on` and `no` are booleans, `0755` is octal,
 `12:30` is 750, and of a repeated key the last one silently wins. Here the core schema of YAML
-1.2 holds, and a repeated key is an error.
+1.2 holds, and a repeated key is an error; so are aliases.
 """
 
 from __future__ import annotations
@@ -14,13 +14,33 @@ import yaml
 
 from mpdt.errors import SpecError
 
+MAX_NESTING = 20
+
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader with the scalars of YAML 1.2; collects repeated keys instead of losing them."""
+    """SafeLoader with the scalars of YAML 1.2; collects repeated keys instead of losing them.
+
+    Aliases, with which half a kilobyte says a billion values, and deep nesting are refused.
+    """
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
         self.repeated: list[tuple[str, int]] = []
+        self._depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        self._depth += 1
+        refused = ""
+        if getattr(event, "anchor", None) is not None:
+            refused = "anchors and aliases (& and *) are not read: write the value out"
+        elif self._depth > MAX_NESTING:
+            refused = f"nested deeper than {MAX_NESTING}"
+        if refused:
+            raise yaml.composer.ComposerError(None, None, refused, event.start_mark)
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         if isinstance(node, yaml.MappingNode):
@@ -55,16 +75,20 @@ def load_yaml(text: str, where: str) -> Any:
     Raises: SpecError for text that is not YAML, Python tags, and repeated keys (all of them,
         with line numbers).
     """
-    loader = _Loader(text)
+    loader: _Loader | None = None
     try:
+        loader = _Loader(text)
         value = loader.get_single_data()
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"{where}, line {mark.line + 1}" if mark else where
         problem = getattr(error, "problem", None) or str(error)
         raise SpecError(f"not valid YAML: {problem}", where=place) from error
+    except (ValueError, OverflowError) as error:  # a number of thousands of digits, a date
+        raise SpecError(f"not valid YAML: {error}", where=where) from error
     finally:
-        loader.dispose()
+        if loader is not None:
+            loader.dispose()
     if loader.repeated:
         found = ", ".join(f"'{key}' in line {line}" for key, line in loader.repeated)
         raise SpecError("repeated key", where=where, found=found,

@@ -109,27 +109,20 @@ class Dataset:
 
         Raises: UsageError for an id outside the file.
         """
-        columns, steps, i = self.episodes, self.steps, int(episode_id)
+        columns, i = self.episodes, int(episode_id)
         if not 0 <= i < len(columns):
             raise UsageError(f"no episode {i}", where=str(self.path),
                              expected=f"0 to {len(columns) - 1}")  # fmt: skip
-        length, start = int(columns.length[i]), int(columns.start[i])
-        obs_start = int(columns.obs_start[i])
-        rows = slice(start, start + length)
-        key = columns.seed_key[i]
-        return Episode(
-            observations=steps.observations[obs_start : obs_start + length + 1],
-            actions=steps.actions[rows],
-            rewards=steps.rewards[rows],
-            terminations=steps.terminations[rows],
-            truncations=steps.truncations[rows],
-            successes=None if steps.successes is None else steps.successes[rows],
+        return self.steps.episode(
+            int(columns.start[i]),
+            int(columns.obs_start[i]),
+            int(columns.length[i]),
+            columns.seed_key[i],
             task=self.tasks.indices[columns.task[i]],
             goal=self.goals.of(int(columns.goal[i])),
             quality=int(columns.quality[i]),
             progress=float(columns.progress[i]),
             policy=self.policies.hashes[columns.policy[i]].tobytes(),
-            seed_key=(int(key[0]), int(key[1]), int(key[2]), int(key[3]), int(key[4])),
         )
 
     def policy_infos(self) -> list[PolicyInfo]:

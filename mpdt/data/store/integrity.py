@@ -47,6 +47,39 @@ def check_tables(dataset: Dataset) -> None:
             raise FormatError("statistics saw test tasks", where=where, found=names)
 
 
+NAME_LENGTH = 120
+"""Of a name in a file: most file systems stop at 255 bytes, and exports add to it."""
+
+
+def check_names(dataset: Dataset) -> None:
+    """Names are names: exports build file names of them, and they reach the terminal.
+
+    Raises: FormatError naming the first that leads elsewhere, or that cannot be shown.
+    """
+    names: dict[str, tuple[str, ...]] = {
+        "family": (dataset.family,), "name": (dataset.name,), "version": (dataset.version,),
+        "task": dataset.tasks.names, "slice": tuple(dataset.slices), "TTA set": tuple(dataset.tta),
+        "policy": dataset.policies.names, "licence": (dataset.license,),
+    }  # fmt: skip
+    for kind, found in names.items():
+        for name in found:
+            is_shown_only = kind in ("licence", "policy")
+            if what := name_fault(name, is_shown_only):
+                raise FormatError(f"the {kind} {what}", where=str(dataset.path), found=ascii(name),
+                                  hint="take another copy, or ask whoever made it")  # fmt: skip
+
+
+def name_fault(name: str, is_shown_only: bool = False) -> str:
+    """What keeps `name` from being part of a file name, or from being shown; "" for a good one."""
+    if not name.isprintable():
+        return "has characters that cannot be shown"
+    if len(name) > NAME_LENGTH * (1 + 9 * is_shown_only):
+        return f"is longer than {NAME_LENGTH} characters"
+    if not is_shown_only and (not name or name.startswith(".") or set("/\\") & set(name)):
+        return "is no name: it is empty, begins with a dot or has a slash"
+    return ""
+
+
 def _in_range(rows: NDArray[Any], count: int, name: str, where: str) -> None:
     if len(rows) and not (int(rows.min()) >= 0 and int(rows.max()) < count):
         raise FormatError(f"{name} points outside its table", where=where,

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import h5py
-import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.reference import REFERENCE_POLICIES
@@ -23,7 +22,10 @@ from mpdt.errors import FormatError, UsageError
 
 FORMAT = "mpdt/1"
 ALIGNMENT_BYTES = 64
-_ATTRIBUTE_LIMIT_BYTES = 60_000  # HDF5 attributes stop at 64 kB (h5py/h5py#1855)
+ATTRIBUTE_LIMIT_BYTES = 60_000  # HDF5 attributes stop at 64 kB (h5py/h5py#1855)
+ROOT_TEXTS = ("family", "name", "version", "license", "parent", "lineage", "spec", "packages",
+              "platform")  # fmt: skip
+FOREIGN_HINT = "take another copy, or bring a foreign file into this format: mpdt-data import -h"
 
 ROLE_CODES: dict[Role, int] = {"train": 0, "test": 1, "both": 2}
 STATS_FIELDS = ("observations", "actions", "rewards", "returns")
@@ -122,49 +124,23 @@ TTA_GROUPS: dict[str, tuple[Column, ...]] = {
 QUALITY_ATTRIBUTE = dict(QUALITY_CODES, unknown=-1)
 
 
-def check_group(
-    group: h5py.Group,
-    columns: tuple[Column, ...],
-    sizes: dict[str, int] | None,
-    where: str,
-) -> dict[str, h5py.Dataset]:
-    """Compare one group with its columns; letters met first bind a size in `sizes`.
-
-    `sizes` None: each dataset may have sizes of its own, only the number of axes counts.
-
-    Returns: the columns that are there. Looking one up twice would double the time of opening.
-
-    Raises: FormatError naming the first missing dataset, wrong dtype or wrong shape.
-    """
-    present: dict[str, h5py.Dataset] = {}
-    for column in columns:
-        try:
-            found = group[column.path]
-        except KeyError:
-            if column.optional:
-                continue
-            path = f"{group.name}/{column.path}".replace("//", "/")
-            raise FormatError(f"dataset {path} is missing", where=where,
-                              hint="the file is damaged or foreign; collect it again",
-                              ) from None  # fmt: skip
-        dtype, shape = found.dtype, found.shape
-        if column.dtype == "str":
-            good = h5py.check_string_dtype(dtype) is not None
-        else:
-            good = dtype == np.dtype(column.dtype)
-        if not good:
-            raise FormatError(f"dataset {found.name} has the wrong type", where=where,
-                              expected=column.dtype, found=str(dtype))  # fmt: skip
-        bound = {} if sizes is None else sizes
-        wanted = [bound.setdefault(letter, size) if isinstance(letter, str) else letter
-                  for letter, size in zip(column.shape, shape, strict=False)]  # fmt: skip
-        if len(shape) != len(column.shape) or list(shape) != wanted:
-            letters = ", ".join(map(str, column.shape))
-            raise FormatError(f"dataset {found.name} has the wrong shape", where=where,
-                              expected=f"({letters}) = {wanted}",
-                              found=str(list(shape)))  # fmt: skip
-        present[column.path] = found
-    return present
+_NAME = "[^/]+"
+GROUP_PATHS = re.compile(
+    rf"{'|'.join(GROUPS)}|stats(/({'|'.join(STATS_FIELDS)}))?|slices|tta(/{_NAME}(/steps|/episodes)?)?"
+)
+"""Every group that a file may have, by path."""
+ARRAY_PATHS = re.compile(
+    "|".join([
+        *(f"{group}/{column.path}" for group, columns in GROUPS.items() for column in columns),
+        *(f"tta/{_NAME}/{f'{group}/' if group else ''}{column.path}"
+          for group, columns in TTA_GROUPS.items() for column in columns),
+        f"stats/({'|'.join(STATS_FIELDS)})/({'|'.join(STATS)})",
+        f"slices/{_NAME}",
+        # Texts, where they are too long for an attribute.
+        f"{'|'.join(ROOT_TEXTS)}|stats/slice|stats/constant|tta/{_NAME}/rule",
+    ])
+)  # fmt: skip
+"""Every array that a file may have, by path."""
 
 
 def checked_name(name: str) -> str:
@@ -180,40 +156,15 @@ def checked_name(name: str) -> str:
 def write_text(group: h5py.Group, key: str, text: str) -> None:
     """Store text as an attribute, or as a scalar dataset where it is too long for one."""
     data = text.encode("utf-8")
-    if len(data) <= _ATTRIBUTE_LIMIT_BYTES:
+    if len(data) <= ATTRIBUTE_LIMIT_BYTES:
         group.attrs[key] = text
     else:
         group.create_dataset(key, data=data, dtype=h5py.string_dtype())
 
 
-def read_text(group: h5py.Group, key: str, where: str) -> str:
-    """What `write_text` stored.
-
-    Raises: FormatError where there is neither attribute nor dataset; UnicodeError.
-    """
-    if key in group.attrs:
-        value = group.attrs[key]
-    elif isinstance(dataset := group.get(key), h5py.Dataset) and dataset.shape == ():
-        value = dataset[()]
-    else:
-        raise FormatError(f"attribute '{key}' of {group.name} is missing", where=where,
-                          hint="the file is damaged or foreign; collect it again")  # fmt: skip
-    text = value.decode("utf-8") if isinstance(value, bytes) else str(value)
-    text.encode("utf-8")  # h5py hides bytes that are no text; they would fail when printed
-    return text
-
-
 def write_json(group: h5py.Group, key: str, value: Any) -> None:
     """Store a value as canonical JSON text."""
     write_text(group, key, canonical_json(value).decode("utf-8"))
-
-
-def read_json(group: h5py.Group, key: str, where: str) -> dict[str, Any]:
-    """What `write_json` stored; a file holds JSON objects only.
-
-    Raises: FormatError for text that is not a JSON object.
-    """
-    return parse_json(read_text(group, key, where), f"{where}: {group.name} {key}")
 
 
 def parse_json(text: str, where: str) -> dict[str, Any]:
@@ -223,7 +174,7 @@ def parse_json(text: str, where: str) -> dict[str, Any]:
     """
     try:
         value = json.loads(text)
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also numbers of thousands of digits
         raise FormatError("not JSON", where=where, found=text[:60]) from error
     if not isinstance(value, dict):
         raise FormatError("not a JSON object", where=where, found=text[:60])

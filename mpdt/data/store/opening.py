@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -12,18 +13,30 @@ import h5py
 
 from mpdt.data.store import layout
 from mpdt.data.store.origin import damaged_hint, missing_hint
+from mpdt.data.store.tree import Tree
 from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError
+from mpdt.reading import open_plain
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A file while it is open: what is in it, and its bytes."""
+
+    tree: Tree
+    stream: BinaryIO
 
 
 @contextmanager
-def opened(path: Path, unfinished: bool = False) -> Iterator[tuple[h5py.File, BinaryIO]]:
-    """The HDF5 file of a complete mpdt/1 file and its bytes, for as long as the context lasts.
+def opened(path: Path, unfinished: bool = False) -> Iterator[Opened]:
+    """A complete mpdt/1 file that holds nothing but what the format knows, inside itself.
 
     Raises: as `open_dataset`; FormatError also for whatever cannot be read inside the context.
     """
     with _open(path) as (file, stream), _told_as_damage(path):
+        tree = Tree(file, str(path))
         _check_header(file, path, unfinished)
-        yield file, stream
+        tree.check(stream, os.fstat(stream.fileno()).st_size)
+        yield Opened(tree, stream)
 
 
 # What h5py and numpy raise about metadata that makes no sense, found by flipping bytes.
@@ -48,14 +61,10 @@ def _told_as_damage(path: Path) -> Iterator[None]:
 @contextmanager
 def _open(path: Path) -> Iterator[tuple[h5py.File, BinaryIO]]:
     where = str(path)
-    if path.is_dir():
-        raise FormatError("a folder, not a file", where=where)
     try:
-        stream = path.open("rb")
-    except FileNotFoundError as error:
-        raise MissingFileError("no such file", where=where, hint=missing_hint(path)) from error
-    except OSError as error:
-        raise StorageError("cannot be opened", where=where, found=str(error)) from error
+        stream = open_plain(path)
+    except MissingFileError as error:
+        raise MissingFileError(error.what, where=where, hint=missing_hint(path)) from error
     with stream:
         if not h5py.is_hdf5(path):
             raise FormatError("not an HDF5 file", where=where, hint=damaged_hint(path))

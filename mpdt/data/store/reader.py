@@ -10,7 +10,6 @@ import warnings
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,10 +17,12 @@ from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.store import layout, tables
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash as hash_content
-from mpdt.data.store.integrity import check_tables
+from mpdt.data.store.integrity import check_names, check_tables
 from mpdt.data.store.opening import opened
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.references import references_of
+from mpdt.data.store.seal import check_tree
+from mpdt.data.store.tree import Array, Tree
 from mpdt.errors import (
     FormatError,
     UsageError,
@@ -57,24 +58,28 @@ def open_dataset(path: Path | str, preload: bool = False) -> Dataset:
     return read_file(Path(path), preload=preload)
 
 
-def open_tta_rewards(path: Path | str, name: str) -> tuple[tables.Float32, tables.Bool | None]:
+def open_tta_rewards(
+    path: Path | str, name: str, checked: bool = True
+) -> tuple[tables.Float32, tables.Bool | None]:
     """What the simulator said about a TTA set: rewards (N,), successes (N,) or None.
 
     The published zero-shot protocol does not read them; `verify` and protocols that say so do.
 
+    Args:
+        checked: False for `verify`, as in `read_file`.
     Raises: as `open_dataset`; UsageError for an unknown set.
     """
     path = Path(path)
-    with opened(path) as (file, stream):
-        sets = file.get("tta", {})
-        if name not in sets:
+    with opened(path) as file:
+        tree, group, sizes = file.tree, f"tta/{name}", dict[str, int]()
+        if name not in (sets := tree.names("tta")):
             raise unknown_name("TTA set", name, sets, where=str(path))
-        arrays = _Arrays(stream, preload=True)
-        group, sizes = sets[name], dict[str, int]()
-        layout.check_group(group["steps"], layout.TTA_STEPS, sizes, str(path))
-        layout.check_group(group, layout.TTA_SIMULATOR, sizes, str(path))
-        successes = arrays.take(group["sim_successes"]) if "sim_successes" in group else None
-        return arrays.take(group["sim_rewards"]), successes
+        if checked:
+            check_tree(tree, path)
+        tree.columns(f"{group}/steps", layout.TTA_STEPS, sizes)
+        found = tree.columns(group, layout.TTA_SIMULATOR, sizes)
+        successes = found["sim_successes"].values if "sim_successes" in found else None
+        return found["sim_rewards"].values, successes
 
 
 def read_file(
@@ -87,78 +92,79 @@ def read_file(
         checked: False for `verify`, which looks at rows, ids and hashes itself: names, types
             and numbers of axes are as the format says, and nothing else is known.
     """
-    with opened(path, unfinished) as (file, stream):
-        return _read(file, path, _Arrays(stream, preload), checked)
+    with opened(path, unfinished) as file:
+        dataset = _read(file.tree, path, _Arrays(file.stream, preload), checked)
+        if checked and not unfinished:  # last: what is wrong can be said more clearly before
+            check_tree(file.tree, path)
+    return dataset
 
 
 class _Arrays:
-    """Maps or copies datasets of one open file."""
+    """Maps or copies arrays of one open file."""
 
     def __init__(self, stream: BinaryIO, preload: bool) -> None:
         self._stream, self._preload, self._warned = stream, preload, False
 
-    def take(self, dataset: h5py.Dataset) -> NDArray[Any]:
-        """A read-only map where the layout allows it, else a copy in RAM."""
-        offset = dataset.id.get_offset()
-        if 0 in dataset.shape or self._preload:
-            return np.asarray(dataset[()])
-        mappable = offset is not None and dataset.chunks is None and not dataset.is_virtual
-        mappable = mappable and not dataset.external and dataset.dtype.isnative
-        if mappable and offset % dataset.dtype.itemsize == 0:
-            return np.memmap(self._stream, dataset.dtype, "r", offset, dataset.shape)
+    def take(self, array: Array) -> NDArray[Any]:
+        """A read-only map, or a copy in RAM where that was asked for or nothing can be mapped."""
+        offset = array.offset
+        if 0 in array.shape or self._preload or offset is None:
+            return np.asarray(array.values)
+        if offset % array.dtype.itemsize == 0:
+            return np.memmap(self._stream, array.dtype, "r", offset, array.shape)
         if not self._warned:
             warnings.warn(
-                f"{dataset.file.filename}: {dataset.name} is chunked, filtered or misaligned; "
+                f"{self._stream.name}: /{array.path} is misaligned; "
                 "reading into memory (a file written by mpdt-data is mapped instead)",
                 stacklevel=5,
             )
             self._warned = True
-        return np.asarray(dataset[()])
+        return np.asarray(array.values)
 
 
 def _columns(
-    present: dict[str, h5py.Dataset],
+    present: dict[str, Array],
     columns: tuple[layout.Column, ...],
     arrays: _Arrays | None = None,
 ) -> dict[str, Any]:
-    """Values of the columns that `check_group` found; None for the others."""
+    """Values of the columns that `Tree.columns` found; None for the others."""
     values: dict[str, Any] = dict.fromkeys(column.path for column in columns)
     for column in columns:
-        dataset = present.get(column.path)
-        if dataset is None:
+        array = present.get(column.path)
+        if array is None:
             continue
         if column.dtype == "str":
-            values[column.path] = tuple(dataset.asstr()[()])
+            values[column.path] = array.texts()
         else:
-            values[column.path] = arrays.take(dataset) if arrays else np.asarray(dataset[()])
+            values[column.path] = arrays.take(array) if arrays else array.values
     return values
 
 
-def _read(file: h5py.File, path: Path, arrays: _Arrays, checked: bool = True) -> Dataset:
+def _read(tree: Tree, path: Path, arrays: _Arrays, checked: bool = True) -> Dataset:
     where, sizes = str(path), dict[str, int]()
-    found: dict[str, dict[str, h5py.Dataset]] = {}
+    found: dict[str, dict[str, Array]] = {}
     for name, columns in layout.GROUPS.items():
-        if name not in file:
+        if name not in tree.groups:
             raise FormatError(f"group /{name} is missing", where=where, hint=damaged_hint(path))
-        found[name] = layout.check_group(file[name], columns, sizes if checked else None, where)
-    family = layout.read_text(file, "family", where)
+        found[name] = tree.columns(name, columns, sizes if checked else None)
+    family = tree.text("", "family")
     episodes = _columns(found["episodes"], layout.EPISODES)
     episodes["returns"] = episodes.pop("return")
     goals = _columns(found["goals"], layout.GOALS)
     policies = _columns(found["policies"], layout.POLICIES)
-    slices = {name: np.asarray(ids[()], np.int64) for name, ids in file.get("slices", {}).items()}
+    slices = {name: _slice_ids(array, where) for name, array in tree.below("slices").items()}
     dataset = Dataset(
         path=path, family=family,
-        name=layout.read_text(file, "name", where),
-        version=layout.read_text(file, "version", where),
-        license=layout.read_text(file, "license", where),
-        spec=layout.read_json(file, "spec", where),
-        spec_hash=layout.read_text(file, "spec_hash", where),
-        content_hash=layout.read_text(file, "content_hash", where),
-        parent=layout.read_text(file, "parent", where),
-        lineage=_read_lineage(file, where),
-        packages=layout.read_json(file, "packages", where),
-        platform=layout.read_json(file, "platform", where),
+        name=tree.text("", "name"),
+        version=tree.text("", "version"),
+        license=tree.text("", "license"),
+        spec=tree.json("", "spec"),
+        spec_hash=tree.text("", "spec_hash"),
+        content_hash=tree.text("", "content_hash"),
+        parent=tree.text("", "parent"),
+        lineage=_read_lineage(tree),
+        packages=tree.json("", "packages"),
+        platform=tree.json("", "platform"),
         tasks=_read_tasks(found["tasks"], family),
         goals=tables.Goals(goals["values"], goals["dim"], goals["task"]),
         policies=tables.Policies(
@@ -168,13 +174,14 @@ def _read(file: h5py.File, path: Path, arrays: _Arrays, checked: bool = True) ->
         episodes=tables.Episodes(**episodes),
         steps=tables.Steps(**_columns(found["steps"], layout.STEPS, arrays)),
         slices=slices,
-        slice_rules={n: layout.read_json(file["slices"][n], "rule", where) for n in slices},
-        stats_info=_read_stats(file["stats"], where) if "stats" in file else None,
+        slice_rules={name: tree.json(f"slices/{name}", "rule") for name in slices},
+        stats_info=_read_stats(tree) if "stats" in tree.groups else None,
         tta={
-            n: _read_tta(n, g, sizes if checked else None, where, arrays)
-            for n, g in file.get("tta", {}).items()
+            name: _read_tta(name, tree, sizes if checked else None, arrays)
+            for name in tree.names("tta")
         },
     )  # fmt: skip
+    check_names(dataset)
     if not checked:
         return dataset
     check_tables(dataset)
@@ -186,15 +193,22 @@ def _read(file: h5py.File, path: Path, arrays: _Arrays, checked: bool = True) ->
     return dataset
 
 
-def _read_lineage(file: h5py.File, where: str) -> tuple[dict[str, Any], ...]:
+def _slice_ids(array: Array, where: str) -> tables.Int64:
+    if array.dtype.kind not in "iu" or len(array.shape) != 1:
+        raise FormatError(f"/{array.path} is no list of ids", where=where,
+                          found=f"{array.dtype} of shape {array.shape}")  # fmt: skip
+    return np.asarray(array.values, np.int64)
+
+
+def _read_lineage(tree: Tree) -> tuple[dict[str, Any], ...]:
     """The steps since the file was collected; none in a file that says nothing about them."""
-    if "lineage" not in file.attrs and "lineage" not in file:
+    if "lineage" not in tree.attributes("") and "lineage" not in tree.arrays:
         return ()
-    steps = layout.read_json(file, "lineage", where)["steps"]
+    steps = tree.json("", "lineage")["steps"]
     return tuple({**step, "from": [str(hash) for hash in step["from"]]} for step in steps)
 
 
-def _read_tasks(present: dict[str, h5py.Dataset], family: str) -> tables.Tasks:
+def _read_tasks(present: dict[str, Array], family: str) -> tables.Tasks:
     values = _columns(present, layout.TASKS)
     names: tuple[str, ...] = values["name"]
     known = {task.name: task.index for task in FAMILIES[family].tasks} if family in FAMILIES else {}
@@ -207,34 +221,33 @@ def _read_tasks(present: dict[str, h5py.Dataset], family: str) -> tables.Tasks:
     )
 
 
-def _read_stats(group: h5py.Group, where: str) -> tables.Stats:
+def _read_stats(tree: Tree) -> tables.Stats:
     fields = {}
     for name in layout.STATS_FIELDS:
         columns = tuple(layout.Column(stat, "<f8", (name,)) for stat in layout.STATS)
-        if name not in group:
-            raise FormatError(f"group /stats/{name} is missing", where=where)
-        fields[name] = _columns(layout.check_group(group[name], columns, {}, where), columns)
-    constant = layout.read_json(group, "constant", where)
+        if f"stats/{name}" not in tree.groups:
+            raise FormatError(f"group /stats/{name} is missing", where=tree.where)
+        fields[name] = _columns(tree.columns(f"stats/{name}", columns, {}), columns)
     return tables.Stats(
         fields=fields,
-        slice=layout.read_text(group, "slice", where),
-        tasks_seen=tuple(int(row) for row in group.attrs["tasks_seen"]),
-        constant={name: tuple(columns) for name, columns in constant.items()},
+        slice=tree.text("stats", "slice"),
+        tasks_seen=tuple(int(row) for row in tree.attributes("stats")["tasks_seen"]),
+        constant={name: tuple(columns) for name, columns in tree.json("stats", "constant").items()},
     )
 
 
 def _read_tta(
-    name: str, group: h5py.Group, sizes: dict[str, int] | None, where: str, arrays: _Arrays
+    name: str, tree: Tree, sizes: dict[str, int] | None, arrays: _Arrays
 ) -> tables.TtaSet:
     own = None if sizes is None else {letter: sizes[letter] for letter in "DA"}
     found = {
-        key: layout.check_group(group[key] if key else group, columns, own, where)
+        key: tree.columns(f"tta/{name}/{key}".rstrip("/"), columns, own)
         for key, columns in layout.TTA_GROUPS.items()
     }
     return tables.TtaSet(
         name=name,
-        rule=layout.read_json(group, "rule", where),
-        content_hash=layout.read_text(group, "content_hash", where),
+        rule=tree.json(f"tta/{name}", "rule"),
+        content_hash=tree.text(f"tta/{name}", "content_hash"),
         **_columns(found["steps"], layout.TTA_STEPS, arrays),
         **_columns(found["episodes"], layout.TTA_EPISODES),
     )

@@ -1,7 +1,9 @@
 """Seal: one SHA-256 over all that no digest covers, so that any change of a file is found.
 
     /steps, /tta/*/steps       each episode's digest
-    everything else            the seal: tables, slices, statistics, references, versions ...
+    everything else            the seal: tables, slices, statistics, references, versions, links
+
+Whoever opens a file compares it before a table is believed.
 
 Not an identity: adding a slice gives a new seal and the same content hash. A program that changes
 a file has to seal it anew; whoever changed it without is found by `mpdt-data verify`.
@@ -18,6 +20,7 @@ import h5py
 import numpy as np
 
 from mpdt.data.spec.entry import canonical_json
+from mpdt.data.store.tree import Tree
 from mpdt.errors import FormatError
 
 ATTRIBUTE = "seal"
@@ -32,7 +35,12 @@ def seal(file: h5py.File) -> None:
 
 def check_seal(file: h5py.File, where: Path) -> None:
     """Raises: FormatError if something in the file is not what its writer sealed."""
-    if not _holds(file):
+    check_tree(Tree(file, str(where)), where)
+
+
+def check_tree(tree: Tree, where: Path) -> None:
+    """`check_seal` of a file whose tree is known already."""
+    if not _holds(tree):
         raise FormatError("the seal is broken: something outside the episodes was changed",
                           where=str(where), hint="mpdt-data verify says what; collect it again "
                           "or take another copy")  # fmt: skip
@@ -42,39 +50,51 @@ def seal_holds(path: Path) -> bool:
     """Whether the file is what its writer sealed. False also for what cannot be read."""
     try:
         with h5py.File(path) as file:
-            return _holds(file)
+            return _holds(Tree(file, str(path)))
     except OSError:
         return False
 
 
-def _holds(file: h5py.File) -> bool:
+def _holds(tree: Tree) -> bool:
     try:
-        return bool(file.attrs.get(ATTRIBUTE) == seal_of(file))
+        return bool(tree.text("", ATTRIBUTE) == tree_seal(tree))
     except (OSError, RuntimeError, KeyError, ValueError, TypeError):  # HDF5's words for damage
         return False
 
 
 def seal_of(file: h5py.File) -> str:
     """64 hex digits over names, types, shapes, values and attributes, in order of the names."""
-    names: list[str] = []
-    file.visit(names.append)
+    return tree_seal(Tree(file, file.filename))
+
+
+def tree_seal(tree: Tree) -> str:
+    """`seal_of` a file whose tree is known already.
+
+    What is no group or array linked once counts by its name, kind and target; files of ours have
+    nothing of the sort, and opening refuses it.
+    """
     whole = hashlib.sha256()
-    for name in ["/", *sorted(names)]:
-        item = file[name]
-        whole.update(canonical_json([name, type(item).__name__, _attributes(item)]))
-        if isinstance(item, h5py.Dataset):
-            whole.update(canonical_json([str(item.dtype), list(item.shape)]))
-            if not _DIGESTED.fullmatch(name):
-                whole.update(_content(item[()]))
+    for path in sorted([*tree.groups, *tree.arrays, *tree.odd]):
+        name = path or "/"
+        if path in tree.odd:
+            whole.update(canonical_json([name, *tree.odd[path]]))
+            continue
+        array = tree.arrays.get(path)
+        kind = "Group" if array is None else "Dataset"
+        whole.update(canonical_json([name, kind, _attributes(tree, path)]))
+        if array is not None:
+            whole.update(canonical_json([str(array.dtype), list(array.shape)]))
+            if not _DIGESTED.fullmatch(path):
+                whole.update(_content(array.values))
     return whole.hexdigest()
 
 
-def _attributes(item: Any) -> list[list[str]]:
+def _attributes(tree: Tree, path: str) -> list[list[str]]:
     # A fixed order: HDF5 lists attributes as they were made.
     return [
-        [key, hashlib.sha256(_content(item.attrs[key])).hexdigest()]
-        for key in sorted(item.attrs)
-        if not (item.name == "/" and key in _OUTSIDE)
+        [key, hashlib.sha256(_content(value)).hexdigest()]
+        for key, value in tree.attributes(path).items()
+        if not (not path and key in _OUTSIDE)
     ]
 
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.data.episode import Episode
 from mpdt.data.reference import References
 
 Float32 = NDArray[np.float32]
@@ -34,6 +35,23 @@ class Steps:
     terminations: Bool
     truncations: Bool
     successes: Bool | None
+
+    def episode(
+        self, start: int, obs_start: int, length: int, seed_key: NDArray[Any], *,
+        task: int, goal: NDArray[np.float64], quality: int, progress: float, policy: bytes,
+    ) -> Episode:  # fmt: skip
+        """The episode whose rows begin there, of these labels; its arrays are views."""
+        rows = slice(start, start + length)
+        return Episode(
+            observations=self.observations[obs_start : obs_start + length + 1],
+            actions=self.actions[rows],
+            rewards=self.rewards[rows],
+            terminations=self.terminations[rows],
+            truncations=self.truncations[rows],
+            successes=None if self.successes is None else self.successes[rows],
+            task=task, goal=goal, quality=quality, progress=progress, policy=policy,
+            seed_key=tuple(map(int, seed_key)),  # type: ignore[arg-type]
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from mpdt.data.store.columns import GoalTable, StepTable, TaskIndex, write_table
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash, episode_digest
 from mpdt.data.store.sources import TtaSource
-from mpdt.data.store.tables import Bool, Float32, TtaSet
+from mpdt.data.store.tables import Bool, Float32, Steps, TtaSet
 from mpdt.disk import disk
 from mpdt.errors import DataError, unknown_name
 from mpdt.seeding import Quality
@@ -74,22 +74,20 @@ def tta_episodes(
     two arguments from `reader.open_tta_rewards`.
     """
     tta = dataset.tta[name]
+    steps = Steps(
+        tta.observations, tta.actions, rewards, tta.terminations, tta.truncations, successes
+    )
     for i in range(len(tta)):
-        start, length, obs_start = int(tta.start[i]), int(tta.length[i]), int(tta.obs_start[i])
-        rows, key = slice(start, start + length), tta.seed_key[i]
-        yield Episode(
-            observations=tta.observations[obs_start : obs_start + length + 1],
-            actions=tta.actions[rows],
-            rewards=rewards[rows],
-            terminations=tta.terminations[rows],
-            truncations=tta.truncations[rows],
-            successes=None if successes is None else successes[rows],
+        yield steps.episode(
+            int(tta.start[i]),
+            int(tta.obs_start[i]),
+            int(tta.length[i]),
+            tta.seed_key[i],
             task=dataset.tasks.indices[tta.task[i]],
             goal=dataset.goals.of(int(tta.goal[i])),
             quality=int(Quality.TTA),
             progress=0.0,
             policy=UNKNOWN_POLICY,
-            seed_key=(int(key[0]), int(key[1]), int(key[2]), int(key[3]), int(key[4])),
         )
 
 

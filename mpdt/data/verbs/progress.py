@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from mpdt.pace import Pace
+
 if TYPE_CHECKING:
     from mpdt.data.collect.collect import Progress
 
-LINE_EVERY_S = 10.0
 
-
-class Pace:
+class Speed:
     """Steps per second and time left, from what this run has done itself."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -67,16 +67,14 @@ def line_writer(
     write: Callable[[str], None], clock: Callable[[], float] = time.monotonic
 ) -> Callable[[Progress], None]:
     """One line at the start of a resumed run, every 10 s, and at the end."""
-    pace = Pace(clock)
-    last = [clock()]
+    speed, pace = Speed(clock), Pace(clock=clock)
 
     def tell(progress: Progress) -> None:
         if progress.last is None:
             if note := resume_note(progress):
                 write(note)
-        elif clock() - last[0] >= LINE_EVERY_S or progress.done_blocks == progress.num_blocks:
-            last[0] = clock()
-            write(f"collect  {pace.text(progress)}")
+        elif pace.is_time(anyway=progress.done_blocks == progress.num_blocks):
+            write(f"collect  {speed.text(progress)}")
 
     return tell
 
@@ -101,7 +99,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
     from rich.progress import Progress as RichProgress
 
     console = Console(stderr=True)  # a narrow one has no room for the block's label
-    pace = Pace()
+    speed = Speed()
     columns = (TextColumn("collect"), BarColumn(bar_width=12), TextColumn("{task.description}"))
     with RichProgress(*columns, console=console, transient=False) as bar:
         task = bar.add_task("", total=None)
@@ -113,7 +111,7 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
                 task,
                 total=progress.num_steps,
                 completed=progress.done_steps,
-                description=pace.text(progress, label=console.width >= 110),
+                description=speed.text(progress, label=console.width >= 110),
             )
 
         yield tell

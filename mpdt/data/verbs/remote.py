@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from mpdt.data.verbs.options import Options
+from mpdt.pace import Pace
 
-SAY_EVERY_S = 10.0
 Url = Annotated[Positional[str], arg(metavar="URL")]
 
 
@@ -116,14 +115,13 @@ def _summary(verb: str, what: str, files: object, size: object, moved: object) -
 
 def _line_writer(verb: str, say: Callable[[str], None]) -> Callable[[str, int, int | None], None]:
     """`pull     12.0 / 54.2 MB  x.h5`, once in 10 s, and where an interrupted one goes on."""
-    last = [time.monotonic()]
+    pace = Pace()
     names: set[str] = set()
 
     def tell(name: str, done: int, size: int | None) -> None:
         goes_on = name not in names and done > 0
         names.add(name)
-        if goes_on or time.monotonic() - last[0] > SAY_EVERY_S:
-            last[0] = time.monotonic()
+        if pace.is_time(anyway=goes_on):
             total = "?" if size is None else f"{size / 1e6:.1f}"
             say(f"{verb}     {done / 1e6:.1f} / {total} MB  {name}" + "  goes on" * goes_on)
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import h5py
-
 from mpdt.data.store import layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.opening import opened
@@ -23,8 +21,8 @@ def open_unchecked(path: Path) -> tuple[Dataset | None, Finding]:
     Raises: MissingFileError, StorageError: there is nothing to judge then.
     """
     try:
-        faults = _layout_faults(path)
-        # A copy of a foreign file's arrays could fill the memory: such a file is not opened.
+        faults = _misaligned(path)
+        # A copy of its arrays could fill the memory: such a file is not read.
         dataset = None if faults else read_file(path, checked=False)
     except FormatError as error:
         what = f"{error.what}; expected {error.expected}" if error.expected else error.what
@@ -34,30 +32,16 @@ def open_unchecked(path: Path) -> tuple[Dataset | None, Finding]:
     return dataset, judge(ID, faults, f"{layout.FORMAT}, complete, contiguous", hint)
 
 
-def _layout_faults(path: Path) -> list[Fault]:
-    """Datasets that a reader could not map. What is missing is told by the reader."""
-    with opened(path) as (file, _):
-        groups = {f"/{name}": columns for name, columns in layout.GROUPS.items()}
-        for name in file.get("tta", {}):
-            for key, columns in layout.TTA_GROUPS.items():
-                groups[f"/tta/{name}/{key}".rstrip("/")] = columns
-        faults = []
-        for group, columns in groups.items():
-            for column in columns:
-                found = file.get(f"{group}/{column.path}")
-                if isinstance(found, h5py.Dataset) and (what := _dataset_fault(found)):
-                    faults.append(Fault(f"{found.name} {what}"))
-    return faults
+def _misaligned(path: Path) -> list[Fault]:
+    """Arrays that a reader could not map; what else is wrong with one is told by opening."""
+    with opened(path) as file:
+        return [
+            Fault(f"/{array.path} is misaligned: offset {array.offset} is no multiple of "
+                  f"{layout.ALIGNMENT_BYTES}")
+            for array in file.tree.arrays.values()
+            if _is_mapped(array.path) and (array.offset or 0) % layout.ALIGNMENT_BYTES
+        ]  # fmt: skip
 
 
-def _dataset_fault(dataset: h5py.Dataset) -> str:
-    """What keeps a reader from mapping this dataset, or nothing."""
-    if dataset.chunks is not None or dataset.is_virtual or dataset.external:
-        return "is not contiguous"
-    offset = dataset.id.get_offset()
-    if offset is None:  # empty, or so small that it lies in the header
-        return ""
-    is_steps = "/steps" in dataset.name or dataset.name.rpartition("/")[2].startswith("sim_")
-    if is_steps and offset % layout.ALIGNMENT_BYTES:
-        return f"is misaligned: offset {offset} is no multiple of {layout.ALIGNMENT_BYTES}"
-    return ""
+def _is_mapped(path: str) -> bool:
+    return "steps/" in path or path.rpartition("/")[2].startswith("sim_")

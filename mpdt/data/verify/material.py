@@ -106,14 +106,12 @@ class Material:
 
     Args:
         sim: TTA set -> what the simulator said: rewards (N,), successes (N,) or None.
-        tta_names: TTA set -> every dataset name below it.
         slice_parents: slice -> content hash of the file it was made for.
     """
 
     path: Path
     dataset: Dataset
     sim: dict[str, tuple[Float32, Bool | None]] = field(default_factory=dict)
-    tta_names: dict[str, list[str]] = field(default_factory=dict)
     slice_parents: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -160,12 +158,11 @@ class Material:
 
 def read_material(path: Path, dataset: Dataset) -> Material:
     """The rest of an unchecked file. Raises: as `reader.open_dataset`."""
-    sim = {name: open_tta_rewards(path, name) for name in dataset.tta}
-    with opened(path) as (file, _):
-        names: dict[str, list[str]] = {name: [] for name in dataset.tta}
-        for name, found in names.items():
-            file["tta"][name].visit(found.append)
+    sim = {name: open_tta_rewards(path, name, checked=False) for name in dataset.tta}
+    with opened(path) as file:
         parents = {
-            name: str(ids.attrs.get("parent", "")) for name, ids in file.get("slices", {}).items()
+            name: str(file.tree.text(f"slices/{name}", "parent"))
+            for name in file.tree.below("slices")
+            if "parent" in file.tree.attributes(f"slices/{name}")
         }
-    return Material(path, dataset, sim, names, parents)
+    return Material(path, dataset, sim, parents)

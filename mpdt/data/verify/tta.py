@@ -1,4 +1,4 @@
-"""tta: no labels, rewards apart, a preset return, uniform actions inside the bounds, nested sets.
+"""tta: a preset return, uniform actions inside the bounds, nested sets.
 
 Uniform: mean and mean square of each action component lie within five standard errors of those of
 a uniform distribution. Nested: seed keys ascend per task, so that the first n episodes are the set
@@ -12,7 +12,6 @@ from itertools import combinations
 
 import numpy as np
 
-from mpdt.data.store import layout
 from mpdt.data.store.tables import TtaSet
 from mpdt.data.verify.finding import Fault, Finding, fault, judge
 from mpdt.data.verify.material import Material
@@ -28,7 +27,6 @@ def check_tta(material: Material) -> Finding:
         return judge(ID, [], "no sets")
     faults: list[Fault] = []
     for name, tta in data.tta.items():
-        faults += _label_faults(name, material.tta_names[name])
         faults += _number_faults(name, tta)
         faults += _order_faults(name, tta)
     for (name, one), (other, two) in combinations(data.tta.items(), 2):
@@ -37,19 +35,7 @@ def check_tta(material: Material) -> Finding:
     shown = ", ".join(f"{name}: {len(tta):,} episodes" for name, tta in data.tta.items())
     first = next(iter(data.tta))
     hint = f"mpdt-data tta {material.path} --name {first} makes the set again"
-    return judge(ID, faults, f"{shown}; no labels, actions uniform, sets nested", hint)
-
-
-def _label_faults(name: str, paths: list[str]) -> list[Fault]:
-    """Datasets a set may not have; sim_* lie beside, where adaptation has no access path."""
-    allowed = {
-        f"{key}/{column.path}".lstrip("/")
-        for key, columns in layout.TTA_GROUPS.items()
-        for column in columns
-    } | {key for key in layout.TTA_GROUPS if key}
-    extra = sorted(set(paths) - allowed)
-    text = f"columns that would tell the answer: {', '.join(extra)}"
-    return [Fault(text, track=f"tta {name}")] if extra else []
+    return judge(ID, faults, f"{shown}; actions uniform, sets nested", hint)
 
 
 def _number_faults(name: str, tta: TtaSet) -> list[Fault]:

@@ -8,7 +8,6 @@ what is in the file.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -34,12 +33,12 @@ from mpdt.data.verify.tta import check_tta
 from mpdt.data.verify.values import ValuesCheck
 from mpdt.draw.table import markdown_table
 from mpdt.errors import FormatError, MpdtError, unknown_name
+from mpdt.pace import Pace
 
 CHECKS = (
     "format", "hash", "shapes", "values", "flags", "returns", "quality", "duplicates", "leak",
     "tta", "replay",
 )  # fmt: skip
-SAY_EVERY_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,7 @@ def _stream(
     if not checks:
         return []
     broken: dict[str, Finding] = {}
-    told = time.monotonic()
+    pace = Pace()
     for track in material.tracks():
         for chunk in track.chunks():
             for check in checks:
@@ -141,8 +140,7 @@ def _stream(
                     failed = _run(check.id, material.path, partial(check.look, track, chunk))
                     if failed is not None:
                         broken[check.id] = failed
-            if time.monotonic() - told > SAY_EVERY_S:
-                told = time.monotonic()
+            if pace.is_time():
                 say(f"verify   {chunk.last:,}/{len(track):,} episodes")
     return [
         broken.get(check.id) or _guarded(check.id, material.path, check.finding) for check in checks

@@ -158,7 +158,7 @@ class AdaptationSet:
         )
 
 
-def unseen_returns(
+def test_task_returns(
     trained: ReturnTable, settings: AdaptSettings, presets: list[float]
 ) -> ReturnTable:
     """Scale and range of the training tasks, with the target the user asks of each test task."""
@@ -185,7 +185,7 @@ def adapt(
     policy: PromptPolicy,
     trained: TrainedPrompts,
     start: Start,
-    unseen: AdaptationSet,
+    x: AdaptationSet,
     returns: ReturnTable,
     source: LayerStatistics | None,
     settings: AdaptSettings,
@@ -197,7 +197,7 @@ def adapt(
     """Prompts (n, l, s) of the test tasks, adapted from `start`; `trained` is not changed.
 
     Args:
-        returns: n rows, as `unseen_returns` gives them.
+        returns: n rows, as `test_task_returns` gives them.
         source: None only for starts that tune nothing.
         on_step: called with (step, loss of each task) before each step's update.
         weights: (n, N) of the training tasks, for `infer` and `infer_aligned`; `cross_one`
@@ -221,7 +221,7 @@ def adapt(
     assert source is not None
     optimizer = torch.optim.AdamW(tuned, lr=settings.lr, weight_decay=0.0)
     for step in range(settings.steps):
-        windows = unseen.batch(step)
+        windows = x.batch(step)
         batch = PolicyBatch.from_windows(windows)
         output = policy(batch, prompts.task_prompts(), returns, layer_features=True)
         losses = alignment_loss(output.features, batch.mask, source, axes, settings.layers)

@@ -122,7 +122,7 @@ def add(name: str, place: Any, value: Any) -> Callable[[dict[str, Any]], None]:
         (add("episodes/length", 0, 1), "lengths do not fit; expected 160 steps, found 161"),
         (put("episodes/quality", np.zeros(32)), "column quality is wrong"),
         (put("rewards", np.zeros(5, np.float32)), "array rewards is wrong"),
-        (put("actions", np.array([{}], object)), "damaged, or not an export of mpdt"),
+        (put("actions", np.array([{}], object)), "array actions is wrong"),
         (lambda arrays: arrays.pop("terminations"), "array terminations is wrong"),
         (lambda arrays: arrays.pop("episodes/seed_key"), "column seed_key is missing"),
         (lambda arrays: arrays.pop("mpdt"), "damaged, or not an export of mpdt"),

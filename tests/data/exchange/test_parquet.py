@@ -161,7 +161,7 @@ def first_null(column: Any) -> Any:
         ("steps", lambda table: table.drop_columns("action"), "damaged"),
         ("steps", lambda table: table.slice(5), "too few row groups"),
         ("steps", lambda table: table.slice(0, 4), "not its number of steps"),
-        ("episodes", lambda table: table.slice(1), "column task is wrong"),
+        ("episodes", lambda table: table.slice(1), "not the announced number of rows"),
         ("episodes", lambda table: table.replace_schema_metadata({}), "not an export of mpdt"),
         ("episodes", lambda table: table.replace_schema_metadata({"mpdt": "[]"}), "not an export"),
         ("episodes", column_set("quality", lambda c: pa.array(np.ones(32))), "quality is double"),

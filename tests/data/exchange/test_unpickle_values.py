@@ -85,7 +85,7 @@ def test_a_large_file_is_refused_before_it_is_read(
     monkeypatch.setattr("mpdt.data.exchange.unpickle.MAX_BYTES", 10)
     file = tmp_path / "large.pkl"
     file.write_bytes(dump("x" * 20))
-    with pytest.raises(FormatError, match="too large"):
+    with pytest.raises(FormatError, match="larger than any file"):
         load_pickle(file)
     with pytest.raises(MissingFileError):
         load_pickle(tmp_path / "absent.pkl")

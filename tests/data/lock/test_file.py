@@ -17,7 +17,7 @@ from mpdt.data.lock.file import (
     run_text,
 )
 from mpdt.data.spec.entry import canonical_json
-from mpdt.errors import FormatError, SpecError, StorageError
+from mpdt.errors import FormatError, SpecError
 
 # 12e34... is a number in YAML 1.2 and would lose its digits without quotes.
 NUMBER_LIKE = "12e3456789012345" + "0" * 48
@@ -103,7 +103,7 @@ def test_other_ways_to_fail(tmp_path):
     (tmp_path / "x.lock").write_bytes(b"\xff\xfe")
     with pytest.raises(FormatError, match="not UTF-8"):
         read_lock(tmp_path / "x.lock")
-    with pytest.raises(StorageError, match="cannot be read"):
+    with pytest.raises(FormatError, match="a folder, not a file"):
         read_lock(tmp_path)
     with pytest.raises(SpecError, match="block of entries"):
         parse_lock("schema: 1\ndatasets: [1]", "x")

@@ -9,6 +9,7 @@ from mpdt.data.episode import Episode
 from mpdt.data.slices.stats import compute_stats
 from mpdt.data.store.amend import add_slice
 from mpdt.data.store.reader import open_dataset
+from mpdt.data.store.seal import seal
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import (
     Additions,
@@ -113,6 +114,7 @@ def test_nothing_to_look_at(small):
 def test_written_and_read_back(small):
     with h5py.File(small.path, "r+") as file:
         write_stats(file, compute_stats(small))
+        seal(file)
     again = open_dataset(small.path)
     assert again.stats["observations"]["max"].tolist() == [22, 7]
     assert again.stats_info.tasks_seen == (0, 2)

@@ -38,6 +38,30 @@ def test_python_tags_do_not_run():
         load_yaml("a: !!python/object/apply:os.getcwd []", "x.yaml")
 
 
+BILLION = "a: &a [x, x, x]\n" + "".join(
+    f"{b}: &{b} [*{a}, *{a}, *{a}, *{a}, *{a}, *{a}, *{a}, *{a}, *{a}]\n"
+    for a, b in ["ab", "bc", "cd", "de", "ef", "fg", "gh", "hi", "ij"]
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        (BILLION, "anchors and aliases"),
+        ("a: &x 1\nb: *x\n", "anchors and aliases"),
+        ("a: *x", "anchors and aliases"),
+        ("a: " + "[" * 2000, "nested deeper than 20"),
+        ("a: " + "{a: " * 30 + "1" + "}" * 30, "nested deeper than 20"),
+        ("a: " + "1" * 5000, "not valid YAML"),
+        ("a: \0", "not valid YAML"),
+        ("a: !!timestamp 2024-13-45", "not valid YAML"),
+    ],
+)
+def test_small_texts_stay_small(text, what):
+    with pytest.raises(SpecError, match=what):
+        load_yaml(text, "x.yaml")
+
+
 def test_other_users_of_yaml_keep_their_rules():
     assert yaml.safe_load("on") is True
 

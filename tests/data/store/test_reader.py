@@ -10,6 +10,7 @@ import pytest
 
 from mpdt.data.store import layout
 from mpdt.data.store.reader import open_dataset, open_tta_rewards, parse_ref
+from mpdt.data.store.seal import seal
 from mpdt.data.store.tables import Stats
 from mpdt.data.store.writer import write_stats
 from mpdt.errors import FormatError, MissingFileError, UsageError
@@ -49,14 +50,19 @@ def test_a_dataset_crosses_processes(made):
     assert again.content_hash == made.content_hash
 
 
-def test_foreign_layout_is_read_into_memory_with_one_warning(made):
+def test_misaligned_arrays_are_read_into_memory_with_one_warning(made):
     before = np.array(made.steps.observations)  # a map would show the change made below
-    with h5py.File(made.path, "r+") as file:
-        for name in STEPS:
-            values = file["steps"][name][()]
+    with h5py.File(made.path, "r+") as file:  # without the writer's alignment
+        file["odd"] = np.zeros(3, np.int8)
+        names = ("observations", "rewards")
+        for name in names:
+            file[name] = file["steps"][name][()]
+            assert file[name].id.get_offset() % 4
+        for name in names:
             del file["steps"][name]
-            file["steps"].create_dataset(name, data=values, chunks=True, compression="gzip")
-    with pytest.warns(UserWarning, match="chunked, filtered or misaligned") as caught:
+            file.move(name, f"steps/{name}")
+        del file["odd"]
+    with pytest.warns(UserWarning, match="/steps/observations is misaligned") as caught:
         again = open_dataset(made.path)
     assert len(caught) == 1
     assert not isinstance(again.steps.rewards, np.memmap)
@@ -205,7 +211,7 @@ def test_text_that_is_no_text(made):
     content = made.path.read_bytes()
     made.path.unlink()
     made.path.write_bytes(content.replace(b"CC0-1.0", b"\xffC0-1.0"))
-    with pytest.raises(FormatError, match="damaged; found UnicodeEncodeError"):
+    with pytest.raises(FormatError, match="damaged; found UnicodeDecodeError"):
         open_dataset(made.path)
 
 
@@ -230,7 +236,12 @@ def test_statistics_of_test_tasks_are_refused(made):
     widths = {"observations": 2, "actions": 1, "rewards": 1, "returns": 1}
     fields = {f: {s: np.zeros(n) for s in layout.STATS} for f, n in widths.items()}
     path = made.path
-    amend(path, lambda file: write_stats(file, Stats(fields, "", (0, 1), {})))
+
+    def change(file):
+        write_stats(file, Stats(fields, "", (0, 1), {}))
+        seal(file)
+
+    amend(path, change)
     assert open_dataset(path).stats_info.tasks_seen == (0, 1)  # role both: they are training tasks
     amend(path, put("tasks/role", 1, 1))
     with pytest.raises(FormatError, match="statistics saw test tasks; found backward"):

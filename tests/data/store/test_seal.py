@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mpdt.data.store.amend import add_slice
-from mpdt.data.store.reader import open_dataset
-from mpdt.data.store.seal import check_seal, seal_of
+from mpdt.data.store.reader import open_dataset, open_tta_rewards
+from mpdt.data.store.seal import check_seal, seal, seal_of
 from mpdt.errors import FormatError
 
 CHANGES: dict[str, Callable[[h5py.File], None]] = {
@@ -72,4 +72,14 @@ def test_nothing_is_added_over_damage(made):
     with pytest.raises(FormatError, match="the seal is broken"):
         add_slice(made.path, "one", [0], {})
     assert made.path.read_bytes() == damaged
-    assert "one" not in open_dataset(made.path).slices
+
+
+def test_nothing_is_believed_without_it(made):
+    with h5py.File(made.path, "r+") as file:
+        file["tasks/ref_random"][0] = 5.0
+    for look in (open_dataset, lambda path: open_tta_rewards(path, "default")):
+        with pytest.raises(FormatError, match="the seal is broken"):
+            look(made.path)
+    with h5py.File(made.path, "r+") as file:
+        seal(file)
+    assert open_dataset(made.path).tasks.ref_random[0] == 5.0

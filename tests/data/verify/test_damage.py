@@ -120,8 +120,8 @@ def respec(file: h5py.File) -> None:
         (put("slices/expert", 0, 10), False, "leak", "slice expert is not ascending"),
         (put("slices/expert", 7, 32), False, "leak", "slice expert points outside the file: epis"),
         (foreign_slice, False, "leak", "slice expert was made for another file"),
-        (reward_column, False, "tta", "columns that would tell the answer: steps/rewards (tta def"),
-        (quality_column, False, "tta", "tell the answer: episodes/quality"),
+        (reward_column, False, "format", "/tta/default/steps/rewards is no array of the format"),
+        (quality_column, False, "format", "/tta/default/episodes/quality is no array of"),
         (put("tta/default/episodes/preset_return", 1, np.nan), False, "tta", "no preset return: e"),
         (put("tta/default/steps/actions", (6, 0), 1.5), True, "tta", "[-1, 1]: episode 1 of tta d"),
         (another_order, True, "tta replay", "not in the order of their seed keys: episode 1"),
@@ -171,7 +171,10 @@ def rewrite(name: str, **options: Any) -> Callable[[h5py.File], None]:
         (lambda f: f.attrs.modify("complete", 0), "incomplete: its writer was stopped"),
         (lambda f: f.attrs.modify("spec", "{no json"), "not JSON"),
         (lambda f: f.attrs.__delitem__("spec_hash"), "attribute 'spec_hash' of / is missing"),
-        (lambda f: f["slices/train"].attrs.__delitem__("rule"), "damaged; found"),
+        (
+            lambda f: f["slices/train"].attrs.__delitem__("rule"),
+            "attribute 'rule' of /slices/train",
+        ),
     ],
 )
 def test_format(change: Apply, what: Callable[[h5py.File], None], text: str) -> None:
@@ -189,6 +192,7 @@ def test_misaligned_steps(tiny: Path) -> None:
         file["new"] = file["steps/rewards"][:]
         del file["steps/rewards"]
         file.move("new", "steps/rewards")
+        del file["odd"]
         assert file["steps/rewards"].id.get_offset() % 64
     assert "no multiple of 64" in finding(verify(tiny), "format").text
 

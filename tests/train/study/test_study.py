@@ -99,6 +99,8 @@ def test_other_settings_or_data_are_not_done(places):
     assert (outcome.state, outcome.note) == ("to do", "its result is of other settings or data")
     away = Places(places.data / "gone", places.runs, places.results)
     assert inspect_cell(ONE, away).note == "data file not here: content not compared"
+    assert states([ONE], away) == [(ONE.name, "done")]
+    assert states([ONE], away, restart=True) == [(ONE.name, "no data")], "it cannot be made again"
     assert inspect_cell(other, away).state == "no data"
 
 
