@@ -1,12 +1,13 @@
 """Closed-loop acting and adaptation of soft prompts, on one thread.
 
-    python benchmarks/speed/acting.py [--rounds 3] [--keep]
+    python benchmarks/speed/acting.py [--rounds 5] [--keep]
 
-acting     ours: all rows as one batch, prompts run once, windows of K = 20 recomputed at each step
+acting     ours: all rows as one batch, prompts run once, old tokens only looked at (decision 0024)
+           whole: the same with the whole window of K = 20 recomputed at each step
            plain: one episode after another, prompt and window recomputed at each step, as the
-           evaluation loops of Decision Transformer and Prompt-DT do
-           limit: one new token per row and step, everything before it cached. No window that
-           slides can reach it: its tokens change their positions, and what deeper blocks kept of
+           evaluation loops of Decision Transformer and Prompt-DT do; where there are rows to spare
+           limit: one new token per row and step through all blocks, everything before it cached.
+           Behind the first block a window that slides cannot reach it: what deeper blocks kept of
            the others has seen tokens that are no longer there
 adapting   ours: windows of all test tasks as one batch, prompts run once per task
            plain: one task after another, every window behind a copy of its prompt, float32
@@ -21,7 +22,11 @@ import numpy as np
 import rounds
 import training
 
-ROWS, STEPS, K, PROMPT = 50, 4, training.K, training.PROMPT
+K, PROMPT = training.K, training.PROMPT
+STEPS = {1: 40, 16: 8, 100: 3}
+"""Rows -> steps in a round."""
+LEAST = {(1, 1): 3.0, (100, 1): 10.0, (100, 4): 1.5}
+"""(rows, blocks) -> how many times the whole window."""
 
 
 def loop(update: training.Run, rows: int) -> Any:
@@ -38,52 +43,62 @@ def loop(update: training.Run, rows: int) -> Any:
     return made
 
 
-def together(update: training.Run) -> Callable[[], float]:
-    acting = loop(update, ROWS)
-    seen = np.random.default_rng(0).standard_normal((STEPS, ROWS, update.policy.observation_size))
+def together(update: training.Run, rows: int) -> Callable[[], float]:
+    acting, steps = loop(update, rows), STEPS[rows]
+    seen = np.random.default_rng(0).standard_normal((steps, rows, update.policy.observation_size))
 
     def run() -> float:
         for step in seen.astype(np.float32):
             acting.act(step)
-        return float(STEPS * ROWS)
+        return float(steps * rows)
 
     return run
 
 
-def alone(update: training.Run) -> Callable[[], float]:
-    """One row; its prompt is run again for every action."""
+def whole(update: training.Run, rows: int, alone: bool = False) -> Callable[[], float]:
+    """Every token of a full window through all blocks; `alone`: row after row, prompt and all."""
     import torch
 
-    acting = loop(update, 1)
-    prompts = update.prompts.task_prompts().detach()[:1]
-    seen = np.random.default_rng(0).standard_normal((STEPS, 1, update.policy.observation_size))
+    from mpdt.model.policy import PolicyBatch
 
-    def run() -> float:
-        for step in seen.astype(np.float32):
-            with torch.no_grad():
-                acting._prefix = update.backbone.encode_prefix(prompts)
-            acting.act(step)
-        return float(STEPS)
+    policy, generator = update.policy, torch.Generator().manual_seed(0)
+    index = torch.arange(rows) % training.TASKS
+    prompts = update.prompts.task_prompts().detach()
+    with torch.no_grad():
+        prefix = update.backbone.encode_prefix(prompts).select(index)
+    shape = (rows, 1, K)
+    window = PolicyBatch(
+        torch.randn((*shape, policy.observation_size), generator=generator),
+        torch.zeros(*shape, policy.action_size), torch.zeros(shape),
+        torch.arange(K).expand(shape), torch.ones(shape, dtype=torch.bool),
+    )  # fmt: skip
 
-    return run
+    def once() -> float:
+        with torch.no_grad():
+            before = update.backbone.encode_prefix(prompts[:1]) if alone else prefix
+            tokens, mask = policy.tokens(window)
+            hidden, _ = update.backbone.forward_with_cache(before, tokens[:, 0], mask[:, 0])
+            policy.head(hidden[:, -1:])
+        return float(rows)
+
+    return lambda: sum(once() for _ in range(STEPS[rows]))
 
 
-def one_token(update: training.Run) -> Callable[[], float]:
+def one_token(update: training.Run, rows: int) -> Callable[[], float]:
     """Blocks and head for one token per row, with keys and values of all others ready."""
     import torch
 
-    width = update.backbone.width
-    before = torch.zeros(ROWS, PROMPT + K - 1, width)
+    before = torch.zeros(rows, PROMPT + K - 1, update.backbone.width)
     with torch.no_grad():
         cache = update.backbone.encode_prefix(before)
-    token, mask = torch.zeros(ROWS, 1, width), torch.ones(ROWS, 1, dtype=torch.bool)
+    token, mask = torch.zeros(rows, 1, update.backbone.width), torch.ones(rows, 1, dtype=torch.bool)
 
     def run() -> float:
         with torch.no_grad():
-            for _ in range(STEPS):
+            for _ in range(STEPS[rows]):
                 hidden, _ = update.backbone.forward_with_cache(cache, token, mask)
                 update.policy.head(hidden)
-        return float(STEPS * ROWS)
+        return float(STEPS[rows] * rows)
 
     return run
 
@@ -107,7 +122,7 @@ def adapting(update: training.Run, at_once: bool) -> Callable[[], float]:
             output = update.policy(batch, prompts, layer_features=True)
             torch.autograd.grad(distance(output.features, batch.mask), prompts)
             return float(training.TASKS)
-        tokens, mask = update.policy._tokens(batch, None, None)
+        tokens, mask = update.policy.tokens(batch)
         for task in range(training.TASKS):
             before = prompts[task].expand(training.PER_TASK, -1, -1)
             seen = torch.cat([torch.ones(before.shape[:2], dtype=torch.bool), mask[task]], dim=1)
@@ -120,18 +135,31 @@ def adapting(update: training.Run, at_once: bool) -> Callable[[], float]:
     return run
 
 
+def compare_acting(report: rounds.Report, update: training.Run, name: str) -> None:
+    blocks = update.backbone.num_layers
+    kind = str(update.backbone.dtype)[6:]
+    for rows in STEPS:
+        ways = [rounds.Way("mpdt", "ours", together(update, rows), 0),
+                rounds.Way("one token per step", "limit", one_token(update, rows), 0),
+                rounds.Way("whole window", "plain", whole(update, rows), 0)]  # fmt: skip
+        least = LEAST.get((rows, blocks))
+        targets = [rounds.Target("whole window", least)] if least else []
+        if rows == max(STEPS):
+            alone = whole(update, 1, alone=True)
+            ways.append(rounds.Way("one episode at a time", "plain", alone, 0))
+            targets.append(rounds.Target("one episode at a time", 10.0))
+        report.compare(f"acting, {name}, {kind}, {blocks} block{'s' * (blocks > 1)}, {rows} row"
+                       f"{'s' * (rows > 1)}", "actions/s", ways, targets)  # fmt: skip
+
+
 def measure(report: rounds.Report) -> None:
     import torch
+
+    from mpdt.model.language import pick_dtype
 
     torch.set_num_threads(1)
     few = min(3, report.rounds)
     for name, ours, plain in training.updates():
-        report.compare(
-            f"acting, {name}, {ROWS} rows", "actions/s",
-            [rounds.Way("mpdt", "ours", together(ours), 0),
-             rounds.Way("one token per step", "limit", one_token(ours), 0),
-             rounds.Way("one episode at a time", "plain", alone(plain), 0)],
-            [rounds.Target("one episode at a time", 10.0)], few)  # fmt: skip
         report.compare(
             f"adapting, {name}, {training.TASKS} tasks x {training.PER_TASK} windows",
             "tasks/s",
@@ -139,6 +167,15 @@ def measure(report: rounds.Report) -> None:
              rounds.Way("task after task, nothing shared", "plain",
                         adapting(plain, False), 0)],
             rounds=few)  # fmt: skip
+    rotary = training.SHAPES["SmolLM2-135M"]
+    kinds = {str(pick_dtype("auto"))[6:], "float32"}
+    with training.data() as dataset:
+        for kind in sorted(kinds):
+            for depth in (1, training.DEPTH):
+                update = training.Run(dataset, rotary, kind, depth)
+                compare_acting(report, update, "SmolLM2-135M")
+        # Positions that are learned vectors: the window is recomputed but for the last block.
+        compare_acting(report, training.Run(dataset, "random:gpt2", "auto", 1), "GPT-2 small")
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ class Run:
 
         windows = self.sampler.batch(self.done)
         batch, slots = PolicyBatch.from_windows(windows), torch.from_numpy(windows.slots)
-        tokens, mask = self.policy._tokens(batch, self.returns.select(slots), None)
+        tokens, mask = self.policy.tokens(batch, self.returns.select(slots))
         before = repeat(self.prompts.task_prompts(slots), "n l s -> (n M) l s", M=PER_TASK)
         rows = torch.cat([before, tokens.flatten(0, 1)], dim=1)
         seen = torch.cat([torch.ones(len(rows), PROMPT, dtype=torch.bool), mask.flatten(0, 1)], 1)
@@ -94,7 +95,7 @@ class Run:
     @property
     def flops(self) -> float:
         """Of the matrix products of one update, see above; attention's own are 1 %, left out."""
-        blocks = self.backbone._blocks()
+        blocks = self.backbone.blocks()
         weights = sum(p.numel() for p in blocks.parameters() if p.dim() == 2)
         tokens = TASKS * (PER_TASK * K + PROMPT)
         return 4.0 * weights * tokens
@@ -153,10 +154,16 @@ def product(dtype: Any) -> tuple[Callable[[], None], float]:
     return run, 2.0 * times * tokens * width * 4 * width
 
 
+@contextmanager
+def data() -> Iterator[Any]:
+    """New data to draw windows from; gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix="mpdt-bench-", dir=rounds.scratch()) as work:
+        yield synthetic.write(Path(work) / "ml10.h5", "ml10", 10, 500)
+
+
 def updates() -> Iterator[tuple[str, Run, Run]]:
     """Per shape of language model: as users get it, and in plain float32, on the same new data."""
-    with tempfile.TemporaryDirectory(prefix="mpdt-bench-", dir=rounds.scratch()) as work:
-        dataset = synthetic.write(Path(work) / "ml10.h5", "ml10", 10, 500)
+    with data() as dataset:
         for name, backbone in SHAPES.items():
             yield name, Run(dataset, backbone, "auto"), Run(dataset, backbone, "float32")
 

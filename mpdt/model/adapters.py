@@ -16,17 +16,21 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 
+def bottleneck(h: Tensor, weights: Tensor) -> Tensor:
+    """What is added to a block's output h (B, K, s), weights (B, 2, r, s) of that block."""
+    down, up = weights.unbind(dim=1)
+    inner = F.gelu(torch.einsum("bks,brs->bkr", h.to(torch.float32), down))
+    return torch.einsum("bkr,brs->bks", inner, up).to(h.dtype)
+
+
 @contextmanager
 def adapted(blocks: nn.ModuleList, adapters: Tensor | None) -> Iterator[None]:
     """Inside, the blocks answer with their adapters; None changes nothing."""
 
     def behind(weights: Tensor) -> Any:
-        down, up = weights.unbind(dim=1)
-
         def add(_module: nn.Module, _args: Any, output: Any) -> Any:
             h = output[0] if isinstance(output, tuple) else output
-            inner = F.gelu(torch.einsum("bks,brs->bkr", h.to(torch.float32), down))
-            h = h + torch.einsum("bkr,brs->bks", inner, up).to(h.dtype)
+            h = h + bottleneck(h, weights)
             return (h, *output[1:]) if isinstance(output, tuple) else h
 
         return add

@@ -120,7 +120,7 @@ class Backbone(nn.Module):
             shape = "n (L q r) s -> n L q r s"
             return PrefixCache((), (), 0, rearrange(prompts, shape, L=self.num_layers, q=2))
         self._check_width(prompts, "prompts", 3)
-        self._check_room(prompts.shape[1], 0)
+        self.check_room(prompts.shape[1], 0)
         cache = NO_PREFIX.as_model_cache()
         self.model(inputs_embeds=prompts.to(self.dtype), past_key_values=cache, use_cache=True)
         return PrefixCache.of_model_cache(cache)
@@ -153,7 +153,7 @@ class Backbone(nn.Module):
                 found=str(prompts.shape[0]),
             )
         tokens_before = 0 if prompts is None or self.reads_adapters else prompts.shape[1]
-        self._check_room(tokens_before, tokens.shape[2])
+        self.check_room(tokens_before, tokens.shape[2])
         prefix = self.encode_prefix(prompts).repeat(M)
         hidden, features = self.forward_with_cache(
             prefix,
@@ -176,25 +176,27 @@ class Backbone(nn.Module):
         step of a closed loop.
         """
         length = prefix.length
-        self._check_room(length, tokens.shape[1])
-        blocks = self._blocks()
+        self.check_room(length, tokens.shape[1])
+        blocks = self.blocks()
         with adapted(blocks, prefix.adapters), _block_outputs(blocks, layer_features) as outputs:
             result = self.model(
                 inputs_embeds=tokens.to(self.dtype),
-                attention_mask=_additive(_visible(mask, length), self.dtype),
-                position_ids=_positions(mask, length),
+                attention_mask=_additive(visible_to(mask, length), self.dtype),
+                position_ids=positions_of(mask, length),
                 past_key_values=prefix.as_model_cache(),
                 use_cache=length > 0,
             )
         hidden: Tensor = result.last_hidden_state
         return hidden.to(torch.float32), tuple(x.to(torch.float32) for x in outputs)
 
-    def _blocks(self) -> nn.ModuleList:
+    def blocks(self) -> nn.ModuleList:
+        """The L blocks kept, first to last."""
         blocks = self.model.h if self.model.config.model_type == "gpt2" else self.model.layers
         assert isinstance(blocks, nn.ModuleList)
         return blocks
 
-    def _check_room(self, length: int, tokens: int) -> None:
+    def check_room(self, length: int, tokens: int) -> None:
+        """Raises: BackboneError if that prompt and that window do not fit."""
         if length + tokens > self.max_positions:
             raise BackboneError(
                 "soft prompt and window are longer than the model",
@@ -249,7 +251,7 @@ def _additive(visible: Tensor, dtype: torch.dtype) -> Tensor:
     return nothing.masked_fill(~visible, torch.finfo(dtype).min)
 
 
-def _visible(mask_BK: Tensor, length: int) -> Tensor:
+def visible_to(mask_BK: Tensor, length: int) -> Tensor:
     """Who may look at whom: (B, 1, K, l + K) bool, prompt columns first.
 
         pads 1, l = 1, K = 3      prompt | pad  a  b
@@ -267,7 +269,7 @@ def _visible(mask_BK: Tensor, length: int) -> Tensor:
     return torch.cat([prompt, window], dim=-1)[:, None]
 
 
-def _positions(mask_BK: Tensor, length: int) -> Tensor:
+def positions_of(mask_BK: Tensor, length: int) -> Tensor:
     """Position of every token: the prompt, then the real tokens; pads take the first place."""
     return length + (mask_BK.long().cumsum(dim=-1) - 1).clamp(min=0)
 

@@ -1,12 +1,16 @@
-"""A policy acting step by step: it builds the windows of training out of what it lives through.
+"""A policy acting step by step: it sees the windows of training, made of what it lives through.
 
-Axes: B rows acting at once, P prompts, K steps of context, D observation, A action.
+Axes: B rows acting at once, P prompts, K steps of context, D observation, A action, q tokens a
+step.
+
+    (R_t, s_t, a_{t-1}) -> new tokens -> window of K steps -> hidden of the newest -> action
 """
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,29 +19,41 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mpdt.errors import ShapeError, SpecError
+from mpdt.model.moving_window import MovingWindow
 from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.returns import ReturnTable
 
 Array = NDArray[Any]
 
+_LEAST_ROWS = 4
+"""Matrix products of fewer rows round differently (MKL takes another path). Filled up with
+copies to this many, a row acts alone as it does among a hundred, to the bit."""
 
-@dataclass
+FEW_ROWS = 16
+"""Up to so many rows act on one thread: waking others costs more than they do, and on a busy
+machine many times more."""
+
+
+@dataclass(frozen=True)
 class _Step:
-    """One step of all rows; the action is filled in once it is known."""
+    """One step of all rows."""
 
     observations: Array
     previous_actions: Array
     returns_to_go: Array
-    timestep: int
+    timesteps: Array
+    real: Array
+    """(B,) bool: it belongs to the row's present episode."""
     actions: Array
+    """Nothing (zeros) until they are chosen."""
 
 
 class ClosedLoop:
     """B rows acting at once, each behind the soft prompt of its task.
 
-    The prompts run once, here; afterwards only the window of the last K steps moves. Equal to
-    `PromptPolicy.forward` on the same histories, so training and evaluation see the same tokens.
-    No gradients.
+    The prompts run once, here; afterwards each step costs about one token (`MovingWindow`).
+    Equal to `PromptPolicy.forward` on the same histories, so training and evaluation see the
+    same tokens. No gradients. torch's threads are left as they were.
     """
 
     def __init__(
@@ -57,6 +73,7 @@ class ClosedLoop:
         """
         self.policy, self.context = policy, context
         self.num_rows = int(prompt_index.shape[0])
+        self._rows = _filled(self.num_rows, _LEAST_ROWS)
         self._low, self._high = action_low, action_high
         for table in (prompts, returns):
             if table is not None and int(prompt_index.max()) >= len(table):
@@ -66,9 +83,20 @@ class ClosedLoop:
                     expected=f"indices below {len(table)}",
                     found=str(int(prompt_index.max())),
                 )
+        prompt_index = prompt_index[self._rows]
         self._returns = None if returns is None else returns.select(prompt_index)
+        self._step_tokens = policy.inputs.settings.tokens_per_step
+        # Of three tokens of a step the last is its action, which nobody knows while it is chosen.
+        self._asked = self._step_tokens // 2 + 1
+        most = context * self._step_tokens - (self._step_tokens - self._asked)
         with torch.no_grad():
-            self._prefix = policy.backbone.encode_prefix(prompts).select(prompt_index)
+            prefix = policy.backbone.encode_prefix(None)
+            if prompts is not None:  # those that somebody stands behind, each once
+                own, place = torch.unique(prompt_index, return_inverse=True)
+                few = -(-_LEAST_ROWS // max(prompts.shape[1], 1))
+                prefix = policy.backbone.encode_prefix(prompts[own[_filled(len(own), few)]])
+                prefix = prefix.select(place)
+        self._window = MovingWindow(policy.backbone, prefix, len(self._rows), most)
         self.reset()
 
     def reset(self, targets: Array | None = None) -> None:
@@ -78,60 +106,74 @@ class ClosedLoop:
         if targets is None:
             table = self._returns
             targets = np.zeros(self.num_rows) if table is None else table.target.numpy()
+            targets = targets[: self.num_rows]
         self._check(targets, (self.num_rows,), "targets")
         # Lowered in float64: 500 float32 subtractions would drift from the stored returns.
-        self._return_to_go = np.array(targets, dtype=np.float64)
-        self._window: deque[_Step] = deque(maxlen=self.context)
-        self._timestep = 0
+        self._targets: Array = np.asarray(targets, dtype=np.float64)[self._rows]
+        self._return_to_go = self._targets
+        self._last: _Step | None = None
 
-    def act(self, observations: Array, previous_rewards: Array | None = None) -> Array:
+    def act(
+        self,
+        observations: Array,
+        previous_rewards: Array | None = None,
+        starts: Array | None = None,
+    ) -> Array:
         """Actions (B, A) float32 for observations (B, D).
 
-        previous_rewards (B,): what the action before earned; it lowers the return-to-go.
-        None at the first step, or to keep the return-to-go constant.
+        Args:
+            previous_rewards: (B,) what the action before earned; it lowers the return-to-go.
+                None at the first step, or to keep the return-to-go constant.
+            starts: (B,) bool, rows whose episode begins with these observations: they forget
+                the one before, and nothing was earned. None: all at the first step, then none.
         """
-        B, A = self.num_rows, self.policy.action_size
+        B = self.num_rows
         self._check(observations, (B, self.policy.observation_size), "observations")
         if previous_rewards is not None:
             self._check(previous_rewards, (B,), "previous rewards")
-            if not self._window:
+            if self._last is None and starts is None:
                 raise SpecError("nothing was earned before the first step", where="ClosedLoop.act")
-            self._return_to_go = self._return_to_go - previous_rewards
-        nothing = np.zeros((B, A), dtype=np.float32)
-        self._window.append(
-            _Step(
-                np.asarray(observations, dtype=np.float32),
-                self._window[-1].actions if self._window else nothing,
-                self._return_to_go.astype(np.float32),
-                self._timestep,
-                nothing,
-            )
-        )
-        self._timestep += 1
-        # All rows are equally old, so the window needs no pads before it is full.
-        with torch.no_grad():
-            wished = self.policy.predict(self._prefix, self._batch(), self._returns)[:, -1]
-        actions: Array = wished.numpy().clip(self._low, self._high)
-        self._window[-1].actions = actions
-        return actions
+        begins = np.full(B, self._last is None)
+        if starts is not None:
+            self._check(starts, (B,), "starts")
+            begins |= np.asarray(starts, dtype=np.bool_)
+        begins = begins[self._rows]
+        rewards = np.zeros(B) if previous_rewards is None else np.asarray(previous_rewards)
+        seen = np.asarray(observations, dtype=np.float32)[self._rows]
+        steps = self._steps(seen, rewards[self._rows], begins)
+        with torch.inference_mode(), few_threads(B):
+            if begins.any():
+                self._window.forget(torch.from_numpy(begins))
+            batch = _as_batch(steps)
+            tokens = self.policy.tokens(batch, self._returns)[0][:, 0]
+            tokens = tokens[:, : tokens.shape[1] - (self._step_tokens - self._asked)]
+            tokens = tokens[:, -self._step_tokens :]
+            # An action that was chosen in another episode, or in none, is no token of this one.
+            real = np.where(begins, self._asked, tokens.shape[1])
+            hidden = self._window.append(tokens, torch.from_numpy(real))
+            wished = self.policy.head(hidden).numpy()
+        actions: Array = wished.clip(self._low, self._high)
+        self._last = replace(steps[-1], actions=actions)
+        return actions[:B]
 
-    def _batch(self) -> PolicyBatch:
-        """The window as (n = B, M = 1, K', ...), K' <= K steps so far."""
-
-        def stack(name: str) -> Tensor:
-            columns = [getattr(step, name) for step in self._window]
-            return torch.from_numpy(np.stack(columns, axis=1)[:, None])
-
-        steps = torch.tensor([step.timestep for step in self._window])
-        shape = (self.num_rows, 1, len(self._window))
-        return PolicyBatch(
-            observations=stack("observations"),
-            previous_actions=stack("previous_actions"),
-            returns_to_go=stack("returns_to_go"),
-            timesteps=steps.expand(shape),
-            mask=torch.ones(shape, dtype=torch.bool),
-            actions=stack("actions"),
-        )
+    def _steps(self, observations: Array, rewards: Array, begins: Array) -> list[_Step]:
+        """The step of now, behind the one before where its action is a token of its own."""
+        nothing = np.zeros((len(begins), self.policy.action_size), dtype=np.float32)
+        last = self._last
+        if last is None:
+            returns_to_go, timesteps, earlier = self._targets, np.zeros(len(begins), int), nothing
+        else:
+            returns_to_go = np.where(begins, self._targets, self._return_to_go - rewards)
+            timesteps = np.where(begins, 0, last.timesteps + 1)
+            earlier = np.where(begins[:, None], 0, last.actions).astype(np.float32)
+        self._return_to_go = returns_to_go
+        now = _Step(
+            observations, earlier, returns_to_go.astype(np.float32), timesteps,
+            np.ones(len(begins), np.bool_), nothing,
+        )  # fmt: skip
+        if last is None or self._step_tokens == 1:
+            return [now]
+        return [replace(last, real=~begins), now]
 
     def _check(self, array: Array, shape: tuple[int, ...], what: str) -> None:
         if np.shape(array) != shape:
@@ -141,3 +183,39 @@ class ClosedLoop:
                 expected=str(shape),
                 found=str(np.shape(array)),
             )
+
+
+@contextmanager
+def few_threads(rows: int) -> Iterator[None]:
+    """One torch thread inside, if the rows are few; afterwards as many as there were."""
+    before = torch.get_num_threads()
+    if rows > FEW_ROWS or before == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _filled(count: int, least: int) -> Array:
+    """Numbers 0 to count - 1, the last again until there are `least`."""
+    return np.arange(max(count, least)).clip(max=count - 1)
+
+
+def _as_batch(steps: list[_Step]) -> PolicyBatch:
+    """The steps as windows (n = B, M = 1, K = 1 or 2, ...)."""
+
+    def stack(name: str) -> Tensor:
+        columns = [getattr(step, name) for step in steps]
+        return torch.from_numpy(np.stack(columns, axis=1)[:, None])
+
+    return PolicyBatch(
+        observations=stack("observations"),
+        previous_actions=stack("previous_actions"),
+        returns_to_go=stack("returns_to_go"),
+        timesteps=stack("timesteps"),
+        mask=stack("real"),
+        actions=stack("actions"),
+    )

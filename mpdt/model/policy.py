@@ -17,7 +17,6 @@ from torch import Tensor, nn
 
 from mpdt.model.backbone import Backbone
 from mpdt.model.limits import check_at_least
-from mpdt.model.prefix import PrefixCache
 from mpdt.model.returns import ReturnTable
 from mpdt.model.tokens import InputMap, InputSettings
 from mpdt.model.weights import check_shapes
@@ -146,21 +145,12 @@ class PromptPolicy(nn.Module):
             generator: hand one in while training, to apply `return_dropout`.
             layer_features: also return the output of every block where actions are predicted.
         """
-        tokens, mask = self._tokens(batch, returns, generator)
+        tokens, mask = self.tokens(batch, returns, generator)
         hidden, features = self.backbone(prompts, tokens, mask, layer_features)
         return PolicyOutput(
             self.head(self._predicting(hidden)),
             tuple(self._predicting(feature) for feature in features),
         )
-
-    def predict(
-        self, prefix: PrefixCache, batch: PolicyBatch, returns: ReturnTable | None = None
-    ) -> Tensor:
-        """Actions (B, K, A) of B rows (n = B, M = 1) whose prompts have been run already."""
-        tokens, mask = self._tokens(batch, returns, None)
-        hidden, _ = self.backbone.forward_with_cache(prefix, tokens[:, 0], mask[:, 0])
-        actions: Tensor = self.head(self._predicting(hidden[:, None]))
-        return actions[:, 0]
 
     def own_state(self) -> dict[str, Tensor]:
         """Trainables and the buffers they were trained with; of a backbone only what is trained."""
@@ -177,8 +167,11 @@ class PromptPolicy(nn.Module):
         check_shapes({k: tuple(v.shape) for k, v in own.items()}, state, "PromptPolicy")
         self.load_state_dict(state, strict=False)
 
-    def _tokens(
-        self, batch: PolicyBatch, returns: ReturnTable | None, generator: torch.Generator | None
+    def tokens(
+        self,
+        batch: PolicyBatch,
+        returns: ReturnTable | None = None,
+        generator: torch.Generator | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Tokens (n, M, K q, s) and their mask (n, M, K q), q tokens per step."""
         return embed(self.inputs, batch, returns, generator)

@@ -8,7 +8,7 @@ from einops import rearrange, repeat
 from torch import Tensor
 
 from mpdt.errors import BackboneError, ShapeError
-from mpdt.model.backbone import Backbone, _positions, _visible, load_backbone
+from mpdt.model.backbone import Backbone, load_backbone, positions_of, visible_to
 
 from .conftest import left_padded, numbers
 
@@ -62,9 +62,9 @@ def test_mask_and_positions_worked_by_hand() -> None:
     mask = torch.tensor([[False, True, True]])
     # one prompt column; a pad sees the prompt and itself; nobody else sees the pad
     by_hand = [[1, 1, 0, 0], [1, 0, 1, 0], [1, 0, 1, 1]]
-    assert _visible(mask, 1)[0, 0].int().tolist() == by_hand
-    assert _positions(mask, 1).tolist() == [[1, 1, 2]]
-    assert _positions(torch.ones(1, 3, dtype=torch.bool), 30).tolist() == [[30, 31, 32]]
+    assert visible_to(mask, 1)[0, 0].int().tolist() == by_hand
+    assert positions_of(mask, 1).tolist() == [[1, 1, 2]]
+    assert positions_of(torch.ones(1, 3, dtype=torch.bool), 30).tolist() == [[30, 31, 32]]
 
 
 @pytest.mark.parametrize("length", [0, 4])
@@ -101,13 +101,13 @@ def test_features_are_the_outputs_of_each_block(backbone: Backbone) -> None:
     norm = backbone.model.ln_f if "llama" not in backbone.name else backbone.model.norm
     torch.testing.assert_close(norm(features[-1]), hidden)
     assert not torch.allclose(norm(features[0]), hidden)
-    assert not any(block._forward_hooks for block in backbone._blocks())
+    assert not any(block._forward_hooks for block in backbone.blocks())
 
 
 def test_depth_keeps_the_first_blocks(backbone: Backbone, tmp_path: Path) -> None:
     backbone.model.save_pretrained(tmp_path)
     shallow = load_backbone(str(tmp_path), depth=1, dtype="float32")
-    assert (shallow.num_layers, len(shallow._blocks())) == (1, 1)
+    assert (shallow.num_layers, len(shallow.blocks())) == (1, 1)
     deep = dict(backbone.model.named_parameters())
     assert all(torch.equal(v, deep[k]) for k, v in shallow.model.named_parameters())
     assert shallow.fingerprint != backbone.fingerprint

@@ -1,21 +1,23 @@
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 from mpdt.errors import ShapeError, SpecError
-from mpdt.model.backbone import Backbone
-from mpdt.model.closed_loop import ClosedLoop
-from mpdt.model.policy import PolicyBatch
+from mpdt.model.backbone import Backbone, load_backbone
+from mpdt.model.closed_loop import FEW_ROWS, ClosedLoop
+from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.returns import ReturnTable
 
-from .conftest import numbers
+from .conftest import SHAPES, numbers
 from .test_policy import LENGTH, A, D, make, unit_returns
 
-STEPS, K = 7, 4
+STEPS, K = 13, 4
 INDEX = torch.tensor([1, 0, 1])
 TABLE = ReturnTable(  # one row per prompt
     torch.tensor([2.0, 5.0]), torch.tensor([-1.0, -9.0]),
@@ -26,21 +28,24 @@ TABLE = ReturnTable(  # one row per prompt
 def window_of(live: dict[str, np.ndarray], end: int) -> PolicyBatch:
     """Slow twin: the training window of K steps up to `end`, left-padded, cut from the record.
 
-    observations (B, T, D), actions (B, T, A), rewards (B, T), targets (B,).
+    observations (B, T, D), actions (B, T, A), rewards (B, T), targets (B,), starts (B, T) bool.
     """
-    B = live["observations"].shape[0]
-    steps = list(range(end - K + 1, end + 1))
+    rows = range(live["observations"].shape[0])
     batch: dict[str, list[Any]] = {key: [] for key in ("s", "p", "a", "R", "t", "m")}
-    for step in steps:
-        pad = step < 0
-        t = max(step, 0)
-        earlier = live["actions"][:, t - 1] if t else np.zeros((B, A))
-        batch["s"].append(np.zeros((B, D)) if pad else live["observations"][:, t])
-        batch["p"].append(np.zeros((B, A)) if pad else earlier)
-        batch["a"].append(np.zeros((B, A)) if pad else live["actions"][:, t])
-        batch["R"].append(live["targets"] - live["rewards"][:, :t].sum(axis=1))
-        batch["t"].append(np.full(B, t))
-        batch["m"].append(np.full(B, not pad))
+    for step in range(end - K + 1, end + 1):
+        columns: dict[str, list[Any]] = {key: [] for key in batch}
+        for row in rows:
+            begun = int(np.flatnonzero(live["starts"][row, : end + 1])[-1])
+            pad, t = step < begun, max(step, begun)
+            action = live["actions"][row, t]
+            columns["s"].append(np.zeros(D) if pad else live["observations"][row, t])
+            columns["p"].append(np.zeros(A) if t == begun else live["actions"][row, t - 1])
+            columns["a"].append(np.zeros(A) if pad else action)
+            columns["R"].append(live["targets"][row] - live["rewards"][row, begun:t].sum())
+            columns["t"].append(t - begun)
+            columns["m"].append(not pad)
+        for key, column in columns.items():
+            batch[key].append(np.array(column))
     tensors = {k: torch.from_numpy(np.stack(v, axis=1)[:, None]) for k, v in batch.items()}
     return PolicyBatch(
         tensors["s"].float(), tensors["p"].float(), tensors["R"].float(),
@@ -48,33 +53,152 @@ def window_of(live: dict[str, np.ndarray], end: int) -> PolicyBatch:
     )  # fmt: skip
 
 
-def live_through(loop: ClosedLoop, targets: np.ndarray, seed: int = 0) -> dict[str, np.ndarray]:
-    """Act for STEPS steps on made-up observations and rewards; record as a data set would."""
+def live_through(
+    loop: ClosedLoop,
+    targets: np.ndarray,
+    seed: int = 0,
+    begins: tuple[tuple[int, ...], ...] = ((0,), (0,), (0,)),
+) -> dict[str, np.ndarray]:
+    """Act for STEPS steps on made-up observations and rewards; record as a data set would.
+
+    begins: per row, the steps at which an episode of it begins.
+    """
     observations = numbers(3, STEPS, D, seed=seed).numpy()
     rewards = numbers(3, STEPS, seed=seed + 1).numpy().astype(np.float64)
+    starts = np.array([[t in own for t in range(STEPS)] for own in begins])
     loop.reset(targets)
-    actions = [loop.act(observations[:, t], rewards[:, t - 1] if t else None) for t in range(STEPS)]
+    actions = [
+        loop.act(observations[:, t], rewards[:, t - 1] if t else None,
+                 starts[:, t] if starts[:, 1:].any() else None)
+        for t in range(STEPS)
+    ]  # fmt: skip
     return {
-        "observations": observations, "rewards": rewards,
+        "observations": observations, "rewards": rewards, "starts": starts,
         "actions": np.stack(actions, axis=1), "targets": targets,
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("tokens_per_step", [1, 3])
-@pytest.mark.parametrize("clip", [True, False])
+def twin_of(
+    policy: PromptPolicy, prompts: torch.Tensor | None, live: dict[str, np.ndarray], end: int
+) -> np.ndarray:
+    """Actions (B, A) by the whole window behind prompts that are run again."""
+    own = None if prompts is None else prompts[INDEX]
+    with torch.no_grad():
+        output = policy(window_of(live, end), own, TABLE.select(INDEX))
+    asked = output.actions[:, 0, -1]
+    return asked.numpy().clip(-0.3, 0.3)
+
+
+# Windows that fill, are full from step 3 on, and hold nothing of the first eight steps at last;
+# rows that begin together, one after another while others are full, again, and two at once.
+TOGETHER = ((0,), (0,), (0,))
+APART = ((0, 5), (0, 2, 12), (0, 5, 6))
+
+# Float32 sums in another order: a few units of the last place of hidden vectors of size 1 to 5,
+# through a head. Ten times what was seen (2e-6).
+NEAR = 2e-5
+
+
+@pytest.fixture(params=[(shape, depth) for shape in SHAPES for depth in (1, 2)], ids=str)
+def any_backbone(request: pytest.FixtureRequest) -> Backbone:
+    """One block, where old tokens are only looked at, and two; rotary and learned positions."""
+    shape, depth = request.param
+    return load_backbone(shape, depth, "float32", seed=3)
+
+
+@pytest.mark.parametrize("begins", [TOGETHER, APART], ids=["together", "apart"])
+@pytest.mark.parametrize(
+    "way",
+    [
+        {},
+        {"tokens_per_step": 3},
+        {"tokens_per_step": 3, "return_clip": False, "previous_action": False},
+        {"previous_action": False},
+        {"return_to_go": "none", "time_table": 0},
+        {"kind": "mlp", "observation_clip": 0.0},
+    ],
+    ids=lambda way: ",".join(map(str, way.values())) or "default",
+)
+@pytest.mark.parametrize("prompted", [True, False], ids=["prompt", "bare"])
 def test_acting_equals_training_windows(
-    backbone: Backbone, tokens_per_step: int, clip: bool
+    any_backbone: Backbone, way: dict[str, Any], prompted: bool, begins: Any
 ) -> None:
-    policy = make(backbone, tokens_per_step=tokens_per_step, return_clip=clip)
-    prompts = numbers(2, LENGTH, backbone.width)
+    policy = make(any_backbone, **way)
+    prompts = numbers(2, LENGTH, any_backbone.width) if prompted else None
     loop = ClosedLoop(policy, prompts, INDEX, K, TABLE, action_low=-0.3, action_high=0.3)
-    live = live_through(loop, np.array([2.0, 3.5, -1.0]))
+    live = live_through(loop, np.array([2.0, 3.5, -1.0]), begins=begins)
     assert (np.abs(live["actions"]) == 0.3).any()  # some were clipped: the record must show it
     for end in range(STEPS):
-        with torch.no_grad():
-            output = policy(window_of(live, end), prompts[INDEX], TABLE.select(INDEX))
-        expected = output.actions[:, 0, -1].numpy().clip(-0.3, 0.3)
-        np.testing.assert_allclose(live["actions"][:, end], expected, atol=2e-5)
+        expected = twin_of(policy, prompts, live, end)
+        np.testing.assert_allclose(live["actions"][:, end], expected, atol=NEAR, err_msg=str(end))
+
+
+@pytest.mark.parametrize("begins", [TOGETHER, APART], ids=["together", "apart"])
+@pytest.mark.parametrize("kind", ["demonstration", "hyper", "lora"])
+def test_other_methods_too(any_backbone: Backbone, kind: str, begins: Any) -> None:
+    """Prompt-DT's tokens of a demonstration, HDT's adapters, and low-rank additions."""
+    backbone = copy.deepcopy(any_backbone)
+    policy = make(backbone)
+    layers, width = backbone.num_layers, backbone.width
+    prompts = numbers(2, 7, width)
+    if kind == "hyper":
+        backbone.reads_adapters = True
+        prompts = 0.3 * numbers(2, layers * 2 * 2, width)
+    if kind == "lora":
+        backbone.add_low_rank(2, 8.0, seed=1)
+        for name, value in backbone.named_parameters():
+            if name.endswith(".up"):
+                nn.init.normal_(value, generator=torch.Generator().manual_seed(1))
+    loop = ClosedLoop(policy, prompts, INDEX, K, TABLE, action_low=-0.3, action_high=0.3)
+    live = live_through(loop, np.array([2.0, 3.5, -1.0]), begins=begins)
+    plain = make(any_backbone)
+    moved = 0.0
+    for end in range(STEPS):
+        expected = twin_of(policy, prompts, live, end)
+        np.testing.assert_allclose(live["actions"][:, end], expected, atol=NEAR, err_msg=str(end))
+        moved += float(np.abs(expected - twin_of(plain, None, live, end)).max())
+    assert moved > 0.1  # the method says something
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("depth", [1, 2])
+def test_in_bfloat16_as_near_to_float32_as_the_whole_window(shape: str, depth: int) -> None:
+    """Two roundings cannot agree to the last bit; neither may be further from the truth."""
+    half, exact = (load_backbone(shape, depth, dtype, seed=3) for dtype in ("bfloat16", "float32"))
+    prompts = numbers(2, LENGTH, half.width)
+    policy, truth = make(half), make(exact)
+    loop = ClosedLoop(policy, prompts, INDEX, K, TABLE, action_low=-0.3, action_high=0.3)
+    live = live_through(loop, np.array([2.0, 3.5, -1.0]), begins=APART)
+    errors = []
+    for end in range(STEPS):
+        expected = twin_of(truth, prompts, live, end)
+        errors.append(
+            (live["actions"][:, end] - expected, twin_of(policy, prompts, live, end) - expected)
+        )
+    ours, whole = (float(np.square(error).mean() ** 0.5) for error in zip(*errors, strict=True))
+    assert 0 < ours < 1.2 * whole
+
+
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+@pytest.mark.parametrize("tokens_per_step", [1, 3])
+def test_a_row_acts_the_same_to_the_bit_whatever_else_is_there(
+    any_backbone: Backbone, tokens_per_step: int, dtype: Any
+) -> None:
+    """Alone, or beside others that begin at other times."""
+    name, depth = any_backbone.name, any_backbone.num_layers
+    policy = make(load_backbone(name, depth, dtype, seed=3), tokens_per_step=tokens_per_step)
+    prompts, targets = numbers(2, LENGTH, any_backbone.width), np.array([2.0, 3.5, -1.0])
+    live = live_through(ClosedLoop(policy, prompts, INDEX, K, TABLE), targets, begins=APART)
+    for row in range(3):
+        alone = ClosedLoop(policy, prompts, INDEX[row : row + 1], K, TABLE)
+        alone.reset(targets[row : row + 1])
+        for t in range(STEPS):
+            action = alone.act(
+                live["observations"][row : row + 1, t],
+                live["rewards"][row : row + 1, t - 1] if t else None,
+                live["starts"][row : row + 1, t],
+            )
+            assert np.array_equal(action[0], live["actions"][row, t]), (row, t)
 
 
 def test_a_second_episode_remembers_nothing(gpt2_shaped: Backbone) -> None:
@@ -103,18 +227,9 @@ def test_rewards_lower_the_return_to_go_and_none_keeps_it(gpt2_shaped: Backbone)
     loop.act(np.zeros((3, D)))
     loop.act(np.zeros((3, D)), np.array([0.5, -1.0, 0.0]))
     loop.act(np.zeros((3, D)))
-    batch = loop._batch()
-    assert batch.returns_to_go[:, 0].tolist() == [[2, 1.5, 1.5], [2, 3, 3], [2, 2, 2]]
-    assert batch.timesteps[0, 0].tolist() == [0, 1, 2]
-
-
-def test_window_holds_the_last_steps_only(gpt2_shaped: Backbone) -> None:
-    loop = ClosedLoop(make(gpt2_shaped, return_to_go="none"), None, INDEX, 2)
-    for step in range(4):
-        loop.act(np.full((3, D), step, dtype=np.float32))
-    batch = loop._batch()
-    assert batch.observations[0, 0, :, 0].tolist() == [2, 3]
-    assert batch.timesteps[2, 0].tolist() == [2, 3]
+    assert loop._last is not None
+    assert loop._last.returns_to_go[:3].tolist() == [1.5, 3, 2]
+    assert loop._last.timesteps[:3].tolist() == [2, 2, 2]
 
 
 def test_rows_do_not_influence_each_other(gpt2_shaped: Backbone) -> None:
@@ -132,7 +247,7 @@ def test_no_gradient_and_float32(gpt2_shaped: Backbone) -> None:
     loop = ClosedLoop(make(gpt2_shaped), prompts, INDEX, K, TABLE)
     action = loop.act(np.zeros((3, D), dtype=np.float64))
     assert (action.dtype, action.shape) == (np.float32, (3, A))
-    assert not loop._prefix.keys[0].requires_grad
+    assert prompts.grad is None and prompts.requires_grad
 
 
 def test_mistakes_of_the_caller(gpt2_shaped: Backbone) -> None:
@@ -148,3 +263,35 @@ def test_mistakes_of_the_caller(gpt2_shaped: Backbone) -> None:
         loop.reset(np.zeros(2))
     with pytest.raises(SpecError, match="without a table"):
         ClosedLoop(policy, None, INDEX, K).reset(np.zeros(3))
+
+
+def test_a_row_that_begins_again_forgets_even_what_is_no_number(any_backbone: Backbone) -> None:
+    for tokens_per_step in (1, 3):
+        policy = make(any_backbone, tokens_per_step=tokens_per_step)
+        loop = ClosedLoop(policy, None, INDEX, K, TABLE)
+        observation = numbers(3, D).numpy()
+        clean = loop.act(observation)
+        broken = observation.copy()
+        broken[1] = np.nan
+        assert np.isnan(loop.act(broken, np.zeros(3))[1]).all()
+        again = loop.act(observation, np.full(3, np.nan), np.array([True, True, True]))
+        np.testing.assert_allclose(again, clean, atol=NEAR)
+        loop.act(broken, np.zeros(3))
+        alone = loop.act(observation, np.zeros(3), np.array([False, True, False]))
+        np.testing.assert_allclose(alone[1], clean[1], atol=NEAR)
+
+
+@pytest.mark.parametrize(("rows", "inside"), [(1, 1), (FEW_ROWS, 1), (FEW_ROWS + 1, 3)])
+def test_threads_are_left_as_they_were(rows: int, inside: int, gpt2_shaped: Backbone) -> None:
+    policy, seen = make(gpt2_shaped, return_to_go="none"), []
+    loop = ClosedLoop(policy, None, torch.zeros(rows, dtype=torch.long), K)
+    policy.head.register_forward_hook(lambda *_: seen.append(torch.get_num_threads()))
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        loop.act(np.zeros((rows, D), np.float32))
+        with pytest.raises(ShapeError):
+            loop.act(np.zeros((rows, D + 1), np.float32))
+        assert (seen, torch.get_num_threads()) == ([inside], 3)
+    finally:
+        torch.set_num_threads(before)

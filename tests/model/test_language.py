@@ -86,7 +86,7 @@ def test_smollm2_is_dense_cached_and_speaks(
     first = load_backbone("smollm2-135m", depth=2, dtype="float32")
     assert (first.width, first.num_layers, first.word_embeddings.shape[0]) == (576, 2, 49152)
     assert first.spread == pytest.approx(0.1356, abs=2e-4)
-    assert type(first._blocks()[0].self_attn.q_proj) is torch.nn.Linear
+    assert type(first.blocks()[0].self_attn.q_proj) is torch.nn.Linear
     assert len(list((tmp_path / "mpdt" / "backbones").iterdir())) == 1
 
     def never() -> Any:

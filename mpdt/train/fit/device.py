@@ -92,7 +92,7 @@ class Hardware:
 
         Parameters stay the same objects, so an optimizer made before goes on working.
         """
-        compiled = [] if self.settings.compile == "none" else list(backbone._blocks())
+        compiled = [] if self.settings.compile == "none" else list(backbone.blocks())
         self._move(self.device, optimizer, modules)
         for block in compiled:
             block.compile(backend=self.settings.compile)

@@ -68,7 +68,7 @@ def test_compiled_blocks_give_the_same_losses(material, plain):
     hardware = Hardware(HardwareSettings(compile="eager"))
     found, subject = losses(material, hardware, steps=2)
     assert found == pytest.approx(plain[:2], rel=1e-5)
-    assert subject.policy.backbone._blocks()[0]._compiled_call_impl is None
+    assert subject.policy.backbone.blocks()[0]._compiled_call_impl is None
 
 
 def test_an_overflow_of_float16_is_skipped_and_the_scale_halved(material):

@@ -1,0 +1,119 @@
+"""The newest token of a window that moves on by one step: what a closed loop asks at every step.
+
+Axes: B rows, m new tokens, s width, l prompt length, L blocks.
+
+    new tokens ── first block's projections ──> kept beside those of the tokens before them
+                                                    │ turned by where they stand now
+    L = 1    the newest token alone ───────────────> block ──> norm ──> hidden (B, s)
+    L > 1    all tokens through the blocks but the last, the newest one alone through that
+
+Exact, for two reasons (docs/decisions/0024). Attention is causal and a window is judged by its
+newest token, so the last block owes nobody else an answer. And what the first block projects
+from a token depends on that token alone as long as positions only turn it. Behind the first
+block a token has seen others that have left the window since, so nothing can be kept there.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from mpdt.model.adapters import bottleneck
+from mpdt.model.backbone import Backbone, positions_of, visible_to
+from mpdt.model.blocks import attend, block_shape, turned
+from mpdt.model.prefix import PrefixCache
+
+
+class MovingWindow:
+    """The last tokens of B rows, each behind its own prompt. No gradients.
+
+    Equal to `Backbone.forward_with_cache` on the same windows, whose last hidden vector it gives.
+
+    Args:
+        prefix: B rows, or none at all.
+        most: tokens a window holds when it is full.
+    """
+
+    def __init__(self, backbone: Backbone, prefix: PrefixCache, rows: int, most: int) -> None:
+        backbone.check_room(prefix.length, most)
+        self._blocks = list(backbone.blocks())
+        self._shape = block_shape(backbone.model)
+        self._dtype, self._most = backbone.dtype, most
+        self._length, self._adapters = prefix.length, prefix.adapters
+        # Attention computes in float32 whatever the weights are: in bfloat16 its small products
+        # are an order of magnitude slower, and rounded.
+        self._prompt_keys = [keys.to(torch.float32) for keys in prefix.keys]
+        self._prompt_values = [values.to(torch.float32) for values in prefix.values]
+        self._kept: list[Tensor] = []
+        self._held = torch.zeros(rows, dtype=torch.long)
+
+    def forget(self, rows: Tensor) -> None:
+        """Empty the windows of `rows` (B,) bool; the others stay as they are."""
+        self._held[rows] = 0
+        for kept in self._kept:
+            kept[rows] = 0.0  # masked, but a NaN would get through a weight of 0
+
+    def append(self, tokens: Tensor, real: Tensor) -> Tensor:
+        """Hidden vectors (B, s) float32 of the newest tokens, after the final norm.
+
+        Args:
+            tokens: (B, m, s); the last of them is the one that is asked.
+            real: (B,) how many of the m, counted from the end, a row really has.
+        """
+        self._held = (self._held + real).clamp(max=self._most)
+        full = int(self._held.min()) == self._most
+        mask = (
+            torch.arange(self._most)
+            >= self._most - (self._held[:1] if full else self._held)[:, None]
+        )
+        positions = positions_of(mask, self._length)
+        turn, visible = self._shape.turn(positions), visible_to(mask, self._length)
+        x, queries, keys, values = self._first(tokens.to(self._dtype), positions)
+        for number, block in enumerate(self._blocks):
+            last = number == len(self._blocks) - 1
+            if number:
+                queries, keys, values = self._shape.project(block, x, newest=last)
+            if last:
+                x, seen = x[:, -1:], None if full else visible[:, :, -1:]
+                now = None if turn is None else (turn[0][:, :, -1:], turn[1][:, :, -1:])
+            else:
+                seen, now = visible, turn
+            keys, values = turned(keys, turn), values.to(torch.float32)
+            if self._length:
+                keys = torch.cat([self._prompt_keys[number], keys], dim=2)
+                values = torch.cat([self._prompt_values[number], values], dim=2)
+            scaling = self._shape.scaling(block)
+            gathered = attend(turned(queries, now), keys, values, scaling, seen)
+            x = self._shape.rest(block, x, gathered.to(self._dtype))
+            if self._adapters is not None:
+                x = x + bottleneck(x, self._adapters[:, number])
+        return self._shape.norm(x)[:, -1].to(torch.float32)
+
+    def _first(self, tokens: Tensor, positions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """What enters the first block, and what that projects: queries, keys and values."""
+        shape, block, alone = self._shape, self._blocks[0], len(self._blocks) == 1
+        if not shape.relative:
+            (window,) = self._keep(tokens)
+            x = shape.enter(window, positions)
+            return (x, *shape.project(block, x, newest=alone))
+        queries, keys, values = shape.project(block, tokens, newest=alone)
+        if alone:  # older tokens are only looked at
+            keys, values = self._keep(keys, values)
+            return tokens, queries, keys, values
+        x, queries, keys, values = self._keep(tokens, queries, keys, values)
+        return x, queries, keys, values
+
+    def _keep(self, *new: Tensor) -> list[Tensor]:
+        """Move the windows on; tokens stand on the last axis but one, the newest at its end.
+
+        All columns are there from the beginning, zeros behind a mask: what a row computes does
+        not depend on how old the others are, to the bit.
+        """
+        if not self._kept:
+            sizes = [(*one.shape[:-2], self._most, one.shape[-1]) for one in new]
+            self._kept = [one.new_zeros(size) for one, size in zip(new, sizes, strict=True)]
+        self._kept = [
+            torch.cat([old[..., one.shape[-2] :, :], one[..., -self._most :, :]], dim=-2)
+            for old, one in zip(self._kept, new, strict=True)
+        ]
+        return self._kept
