@@ -21,13 +21,12 @@ from contextlib import closing
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from mpdt.data.episode import Episode
 from mpdt.data.sim.batch import HasScene
+from mpdt.data.sim.camera import NO_SCREEN, Camera, Pixels
 from mpdt.data.sim.simulators import make_batch
 from mpdt.data.sim.stored import watch_stored
 from mpdt.data.spec.tasks import Family, get_family
@@ -37,18 +36,7 @@ from mpdt.errors import DataError, MpdtError, SimulatorError
 from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
 WIDTH, HEIGHT = 240, 180
-Pixels = npt.NDArray[np.uint8]
-CAMERAS = {  # azimuth, elevation in degrees; distance in m
-    "cheetah": (90.0, -15.0, 2.8),
-    "ant": (90.0, -30.0, 4.0),
-    "sawyer": (150.0, -25.0, 1.4),
-}
 FLOORS = 10
-TABLE = (0.05, 0.6, 0.2)  # m; what the camera looks at in Meta-World
-HINT = (
-    "drawing without a screen needs EGL or OSMesa; on Debian: "
-    "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6 and MUJOCO_GL=osmesa"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +77,9 @@ def shoot(path: Path, ids: Sequence[int], num_frames: int | None = 6) -> list[Fi
             refused.append(f"{way}: the process ended")
         except Exception as error:  # noqa: BLE001  drivers raise whatever they like
             refused.append(f"{way}: {type(error).__name__}: {error}".splitlines()[0][:120])
-    raise SimulatorError("nothing here can draw a picture", found="; ".join(refused), hint=HINT)
+    raise SimulatorError(
+        "nothing here can draw a picture", found="; ".join(refused), hint=NO_SCREEN
+    )
 
 
 def ways_to_draw() -> tuple[str, ...]:
@@ -111,8 +101,6 @@ def film_here(path: Path, ids: Sequence[int], num_frames: int | None) -> list[Fi
 
 
 def _film(data: Dataset, episode_id: int, num_frames: int | None) -> Film:
-    import mujoco  # here: `_use` comes before it
-
     episode, family = data.episode(episode_id), get_family(data.family)
     length = episode.length
     places = np.linspace(0, length, num_frames or length + 1).round().astype(int)
@@ -125,16 +113,13 @@ def _film(data: Dataset, episode_id: int, num_frames: int | None) -> Film:
         floor = model.geom("floor")  # only its picture has an end, which experts run past
         floor.size[:2] *= FLOORS
         model.mat_texrepeat[floor.matid] *= FLOORS
-    camera = mujoco.MjvCamera()
-    with closing(mujoco.Renderer(model, HEIGHT, WIDTH)) as renderer:
+    with closing(Camera(model, family.robot, HEIGHT, WIDTH)) as camera:
         for step, seen in enumerate(watch_stored(env, episode, _key(data, family, episode))):
             shown = seen.astype(np.float32)
             shown[list(family.hidden_columns)] = 0.0
             is_equal &= shown.tobytes() == episode.observations[step].tobytes()
             if step in wanted:
-                _, scene = env.scene(0)
-                renderer.update_scene(scene, camera=_aimed(camera, family, scene))
-                frames.append(renderer.render().copy())
+                frames.append(camera.frame(env.scene(0)[1]))
     return Film(episode_id, np.stack(frames), tuple(wanted), is_equal)
 
 
@@ -146,11 +131,3 @@ def _key(data: Dataset, family: Family, episode: Episode) -> SeedKey:
     if family.simulator == "metaworld":  # the goal alone decides how it begins
         return SeedKey(0, *UNKNOWN_SEED_KEY)
     raise DataError("an episode without a seed cannot be simulated again", where=str(data.path))
-
-
-def _aimed(camera: Any, family: Family, scene: Any) -> Any:
-    """The camera on the table, or beside the torso (MuJoCo's own tracking lags behind)."""
-    camera.azimuth, camera.elevation, camera.distance = CAMERAS[family.robot]
-    at = scene.body("torso").xpos[:2] if family.robot != "sawyer" else None
-    camera.lookat[:] = TABLE if at is None else (*at, 0.5)
-    return camera

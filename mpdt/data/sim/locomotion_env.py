@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from mpdt.data.sim.camera import drawing, no_render_mode
 from mpdt.data.sim.robots import FRAME_SKIP, RESET_NOISE, ROBOTS, reward_rule
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import unknown_name
@@ -29,7 +31,8 @@ class LocomotionEnv(MujocoEnv):
 
     Observation: float64 (D,), columns as `get_family(family).columns`. Action: float32 (A,) in
     [-1, 1]. `terminated` only where the ant falls, `truncated` at the horizon.
-    Raises: UsageError for an unknown family or task.
+    Raises: UsageError for an unknown family or task, and for `render` without a mode; ResetNeeded
+        for what comes before the first reset; SimulatorError where nothing can draw.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # gymnasium declares it per instance
@@ -49,11 +52,11 @@ class LocomotionEnv(MujocoEnv):
         names = {known.name: known for known in row.tasks}
         if task not in names:
             raise unknown_name(f"task of {family}", task, names)
-        self._robot = ROBOTS[row.robot]
+        self._robot, self._task_name = ROBOTS[row.robot], task
         self._rule = reward_rule(row.robot, row.reward, env)
         self._goal = np.array([names[task].goal[0]])
         self._horizon = row.horizon if horizon is None else horizon
-        self._elapsed = 0
+        self._elapsed = -1  # not reset yet
         space = spaces.Box(-np.inf, np.inf, (row.observation_size,), np.float64)
         super().__init__(self._robot.xml, FRAME_SKIP, space, render_mode=render_mode)
 
@@ -73,6 +76,7 @@ class LocomotionEnv(MujocoEnv):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float64], np.float64, bool, bool, dict[str, np.float64]]:
+        self._check_reset()
         action = np.asarray(action, dtype=np.float32)
         place = self.data.qpos[:2].copy()
         self.do_simulation(action.astype(np.float64), self.frame_skip)
@@ -83,6 +87,18 @@ class LocomotionEnv(MujocoEnv):
         terminated = bool(self._rule.terminations(qpos, qvel)[0])
         truncated = self._elapsed >= self._horizon
         return self._observation(), reward, terminated, truncated, {}
+
+    def render(self) -> Any:
+        """What `render_mode` says, as gymnasium draws it."""
+        self._check_reset()
+        if self.render_mode is None:
+            raise no_render_mode(self._task_name)
+        with drawing():
+            return super().render()  # type: ignore[no-untyped-call]
+
+    def _check_reset(self) -> None:
+        if self._elapsed < 0:
+            raise ResetNeeded(f"{self._task_name}: call reset() first")
 
     def _observation(self) -> NDArray[np.float64]:
         torso = np.array(self.data.body("torso").xpos)
