@@ -1,0 +1,183 @@
+"""A test of the tests: break the code in many places, one at a time, and see who notices.
+
+    python tools/mutants.py [--only TEXT] [--jobs 2] [--json results/trust/mutants.json]
+
+The breaks stand in mutants.toml: a file, a text in it, what takes its place, the tests that should
+fail. Each is made in a copy of the tree and its tests are run until the first failure; a break that
+they all pass survives, is listed, and asks for a better test (exit code 1). The same tests run
+without a break first. `tests/test_mutants.py` looks that every text is still there.
+
+mutmut and cosmic-ray were considered: they change every operator of every line, thousands of
+mutants of tests that take seconds, and cannot be told which break matters or who should notice.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import queue
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+LIST = Path(__file__).with_name("mutants.toml")
+LIMIT_S = 600
+"""A break whose tests take longer hangs, which is noticed as well."""
+FOLDERS = (
+    "mpdt/train/fit", "mpdt/train/adapt", "mpdt/data/slices", "mpdt/data/store",
+    "mpdt/data/verify", "mpdt/data/exchange",
+)  # fmt: skip
+"""Every file here should have a break."""
+NOTICED, SURVIVED, HANGS = "noticed", "survived", "hangs"
+
+
+@dataclass(frozen=True)
+class Break:
+    """`old`, found once in `file`, becomes `new`; `tests` are files or ids, the likeliest first."""
+
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+    def apply(self, tree: Path) -> str:
+        """Break the file of a tree; returns its text of before. Raises: SystemExit."""
+        path = tree / self.file
+        before = path.read_text()
+        if before.count(self.old) != 1:
+            raise SystemExit(
+                f"{self.file}: expected once, found {before.count(self.old)} times: {self.old!r}"
+            )
+        path.write_text(before.replace(self.old, self.new))
+        return before
+
+
+def read_list(path: Path = LIST) -> list[Break]:
+    """Every break, in the order of the list."""
+    breaks = tomllib.loads(path.read_text())["break"]
+    return [Break(one["file"], one["old"], one["new"], tuple(one["tests"])) for one in breaks]
+
+
+def files_without(breaks: list[Break]) -> list[str]:
+    """Files of FOLDERS that hold code and that no break touches."""
+    broken = {one.file for one in breaks}
+    found = [p for folder in FOLDERS for p in sorted((ROOT / folder).glob("*.py"))]
+    names = [str(p.relative_to(ROOT)) for p in found if p.stat().st_size]
+    return [name for name in names if name not in broken]
+
+
+def copy_tree(target: Path) -> Path:
+    """What git knows, as it lies in the working tree; results are not needed by any of these."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    for name in filter(None, listed.split("\0")):
+        source = ROOT / name
+        if source.is_file() and not name.startswith("results/"):
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(source, target / name)
+    return target
+
+
+def run_tests(tree: Path, tests: tuple[str, ...]) -> tuple[int | None, str]:
+    """pytest's exit code and output; None after LIMIT_S.
+
+    Bytecode is not kept: a break may leave a file's size and second as they were.
+    """
+    command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", "--tb=no", "-rfE"]
+    environment = os.environ | {
+        "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1",
+        "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
+    }  # fmt: skip
+    try:
+        done = subprocess.run([*command, *tests], cwd=tree, env=environment, timeout=LIMIT_S,
+                              capture_output=True, text=True, check=False)  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return None, ""
+    return done.returncode, done.stdout + done.stderr
+
+
+def try_break(one: Break, tree: Path) -> dict[str, Any]:
+    """Break, test, mend. Raises: SystemExit for a break that tests nothing."""
+    began = time.monotonic()
+    before = one.apply(tree)
+    try:
+        code, text = run_tests(tree, one.tests)
+    finally:
+        (tree / one.file).write_text(before)
+    if code not in (None, 0, 1):
+        raise SystemExit(f"{one.file}: pytest ended with {code}: {one.new!r}\n{text[-2000:]}")
+    by = re.search(r"^(?:FAILED|ERROR) (\S+)", text, re.MULTILINE)
+    outcome = HANGS if code is None else NOTICED if code else SURVIVED
+    return {
+        "file": one.file, "old": one.old, "new": one.new, "outcome": outcome,
+        "by": by[1].partition("[")[0] if code and by else "",
+        "seconds": round(time.monotonic() - began, 1),
+    }  # fmt: skip
+
+
+def try_all(breaks: list[Break], jobs: int) -> list[dict[str, Any]]:
+    """All of them, in the order of the list. Raises: SystemExit if the tests fail unbroken."""
+    every = dict.fromkeys(test for one in breaks for test in one.tests)
+    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(jobs) as pool:
+        trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
+        for number in range(jobs):
+            trees.put(copy_tree(Path(name) / str(number)))
+
+        def attempt(one: Break | None) -> dict[str, Any]:
+            tree = trees.get()
+            try:
+                if one is not None:
+                    return try_break(one, tree)
+                code, text = run_tests(tree, tuple(every))
+                return {} if code == 0 else {"failed": text}
+            finally:
+                trees.put(tree)
+
+        if failed := pool.submit(attempt, None).result().get("failed"):
+            raise SystemExit(f"the tests fail without a break\n{failed[-3000:]}")
+        found = []
+        for result in pool.map(attempt, breaks):
+            print(f"{result['outcome']:<9} {result['file']}  {result['by']}", flush=True)
+            found.append(result)
+        return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", default="", help="breaks of files with this in their name")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    breaks = read_list()
+    chosen = [one for one in breaks if options.only in one.file]
+    began = time.monotonic()
+    found = try_all(chosen, options.jobs)
+    survivors = [one for one in found if one["outcome"] == SURVIVED]
+    report = {
+        "seconds": round(time.monotonic() - began), "breaks": found,
+        "files without": files_without(breaks),
+    }  # fmt: skip
+    if options.json:
+        options.json.write_text(json.dumps(report, indent=1) + "\n")
+    print(f"{len(found)} breaks, {len(survivors)} survived, {report['seconds']} s")
+    for one in survivors:
+        print(f"  {one['file']}\n    - {one['old']}\n    + {one['new']}")
+    print("files without a break:", ", ".join(report["files without"]) or "none")
+    sys.exit(bool(survivors))
+
+
+if __name__ == "__main__":
+    main()
