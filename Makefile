@@ -90,7 +90,7 @@ wheel: .venv/ready
 # Needs a Chromium: apt-get install chromium
 pages: .venv/ready
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[browser]'
-	$(BIN)/pytest -m slow tests/test_pages.py
+	$(BIN)/pytest -m slow tests/tools/test_pages.py
 
 results: .venv/ready
 	$(BIN)/mpdt-train report results/studies/one-block -o docs/results

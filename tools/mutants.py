@@ -5,7 +5,7 @@
 The breaks stand in mutants.toml: a file, a text in it, what takes its place, the tests that should
 fail. Each is made in a copy of the tree and its tests are run until the first failure; a break that
 they all pass survives, is listed, and asks for a better test (exit code 1). The same tests run
-without a break first. `tests/test_mutants.py` looks that every text is still there.
+without a break first. `tests/tools/test_mutants.py` looks that every text is still there.
 
 mutmut and cosmic-ray were considered: they change every operator of every line, thousands of
 mutants of tests that take seconds, and cannot be told which break matters or who should notice.

@@ -2,8 +2,8 @@
 
     make docs
 
-`tests/test_references.py` fails when one of them is older than the code. options.txt is the frozen
-list of everything the two programs take: a change of it is a change for whoever scripts them.
+`tests/tools/test_references.py` fails when one of them is older than the code. options.txt is the
+frozen list of all that the two programs take: a change of it is one for whoever scripts them.
 """
 
 from __future__ import annotations

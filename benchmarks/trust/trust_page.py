@@ -1,4 +1,4 @@
-"""Write docs/trust.md from what torture.py, fuzz.py and clusters.py found.
+"""Write docs/trust.md from what torture.py, fuzz.py, clusters.py and tools/mutants.py found.
 
 python benchmarks/trust/trust_page.py [--results results/trust]
 """
@@ -89,16 +89,52 @@ def clusters(found: dict[str, Any]) -> str:
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--results", type=Path, default=ROOT / "results" / "trust")
-    folder = parser.parse_args().results
-    sections = {"torture": torture, "fuzz": fuzz, "clusters": clusters}
+def mutants(found: dict[str, Any]) -> str:
+    """One line per folder, then every break in a list that can be searched."""
+    breaks: list[dict[str, Any]] = found["breaks"]
+    folders: dict[str, list[dict[str, Any]]] = {}
+    for one in breaks:
+        folders.setdefault(str(Path(one["file"]).parent), []).append(one)
+    rows = [
+        [f"`{folder}`", len({one["file"] for one in some}), len(some),
+         sum(one["outcome"] != "survived" for one in some)]
+        for folder, some in folders.items()
+    ]  # fmt: skip
+    survivors = sum(one["outcome"] == "survived" for one in breaks)
+    text = (
+        f"\n## {len(breaks)} breaks of the code\n\n`python tools/mutants.py`: a sign, a bound, a "
+        f"check left out, one at a time, in {found['seconds'] / 60:.0f} min. "
+        f"{survivors or 'None'} survived the tests beside each.\n\n"
+        + markdown_table(["folder", "files", "breaks", "noticed"], rows)
+    )
+    for folder, some in folders.items():
+        text += f"\n### {folder}\n\n"
+        text += "".join(f"- `{Path(one['file']).name}` {_change(one)}\n" for one in some)
+    return text.rstrip("\n")
+
+
+def _change(one: dict[str, Any]) -> str:
+    """What became what, and who noticed."""
+    old, new = (" ".join(one[side].split()) for side in ("old", "new"))
+    what = f"`` {old} `` became `` {new} ``" if new else f"`` {old} `` left out"
+    return f"{what}: {one['by'].removeprefix('tests/') or one['outcome']}"
+
+
+def page(folder: Path) -> str:
+    """The whole page as Markdown."""
+    sections = {"torture": torture, "fuzz": fuzz, "clusters": clusters, "mutants": mutants}
     text = HEAD
     for name, section in sections.items():
         path = folder / f"{name}.json"
         text += section(json.loads(path.read_text())) + "\n" if path.exists() else ""
-    (ROOT / "docs" / "trust.md").write_text(text)
+    return text
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--results", type=Path, default=ROOT / "results" / "trust")
+    folder = parser.parse_args().results
+    (ROOT / "docs" / "trust.md").write_text(page(folder))
     print("written  docs/trust.md")
 
 

@@ -7,7 +7,7 @@
     start 4   ->  steps - - 4     mask 0 0 1      never reaches into the next episode
 
 Pads hold zeros everywhere. One indexed read per column, no Python loop over windows;
-`tests/reference/windows.py` is the slow twin.
+`tests/data/slices/test_slow_twins.py` holds the slow twin.
 
 Shape legend: n tasks (or any leading axis), M windows of one task, K steps, D observation
 columns, A action columns.

@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 REFRESH = "python tools/write_reference.py (or make docs) writes it anew; look at what changed"
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from mpdt.train.report.page import run_content, write_result
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 RUN = ROOT / "results/runs/cheetah_vel-infer"
 MISSING = 3
 
