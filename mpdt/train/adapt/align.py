@@ -158,7 +158,7 @@ class AdaptationSet:
         )
 
 
-def test_task_returns(
+def returns_of_test_tasks(
     trained: ReturnTable, settings: AdaptSettings, presets: list[float]
 ) -> ReturnTable:
     """Scale and range of the training tasks, with the target the user asks of each test task."""
@@ -197,7 +197,7 @@ def adapt(
     """Prompts (n, l, s) of the test tasks, adapted from `start`; `trained` is not changed.
 
     Args:
-        returns: n rows, as `test_task_returns` gives them.
+        returns: n rows, as `returns_of_test_tasks` gives them.
         source: None only for starts that tune nothing.
         on_step: called with (step, loss of each task) before each step's update.
         weights: (n, N) of the training tasks, for `infer` and `infer_aligned`; `cross_one`

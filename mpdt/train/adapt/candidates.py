@@ -28,7 +28,7 @@ from mpdt.train.adapt.align import (
     AdaptationSet,
     AdaptSettings,
     adapt,
-    test_task_returns,
+    returns_of_test_tasks,
 )
 from mpdt.train.adapt.few_shot import FewShotSettings, choose_labelled, tune
 from mpdt.train.adapt.infer import Explanation, explain
@@ -105,7 +105,7 @@ class Candidates:
                 self._material.family.action_low, self._material.family.action_high,
             )  # fmt: skip
             presets = self._x.presets
-        self.returns = test_task_returns(trained.returns, self._config.adapt, presets)
+        self.returns = returns_of_test_tasks(trained.returns, self._config.adapt, presets)
 
     def __iter__(self) -> Iterator[Candidate]:
         """Adapted, few-shot, not adapted. Raises: DataError; whatever `on_step` does."""

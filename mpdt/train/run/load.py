@@ -30,7 +30,7 @@ from mpdt.model.prompts import Start, TrainedPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.model.weights import load_weights
 from mpdt.seeding import phase_seed
-from mpdt.train.adapt.align import AdaptationSet, test_task_returns
+from mpdt.train.adapt.align import AdaptationSet, returns_of_test_tasks
 from mpdt.train.adapt.candidates import Candidates
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.build import build
@@ -141,7 +141,7 @@ def _adapted_by(
         material.dataset, material.test_rows, config.adapt, config.sampler.window,
         phase_seed(config.seed, "adapt"), family.action_low, family.action_high,
     )  # fmt: skip
-    returns = test_task_returns(trained.returns, config.adapt, x.presets)
+    returns = returns_of_test_tasks(trained.returns, config.adapt, x.presets)
     prompts = adaptation(trained.policy, trained.prompts, x, returns).detach()
     wanted = (len(material.test_rows), *trained.prompts.task_prompts().shape[1:])
     if prompts.shape != wanted:

@@ -17,7 +17,7 @@ from mpdt.train.adapt.align import (
     AdaptSettings,
     adapt,
     alignment_loss,
-    test_task_returns,
+    returns_of_test_tasks,
 )
 from mpdt.train.adapt.statistics import LayerStatistics
 from mpdt.train.fit.data import load_material
@@ -173,9 +173,9 @@ def test_decrement_reads_the_simulated_rewards(dataset):
 
 def test_target_of_unseen_tasks():
     table = ReturnTable(*(torch.tensor(x) for x in ([10.0, 20], [0.0, -5], [9.0, 19], [8.0, 18])))
-    preset = test_task_returns(table, AdaptSettings(), [100.0])
+    preset = returns_of_test_tasks(table, AdaptSettings(), [100.0])
     assert preset.target.tolist() == [100.0] and preset.scale.tolist() == [15.0]
-    own = test_task_returns(table, AdaptSettings(target="training"), [100.0])
+    own = returns_of_test_tasks(table, AdaptSettings(target="training"), [100.0])
     assert own.target.tolist() == [13.0] and own.high.tolist() == [19.0]
 
 
