@@ -21,7 +21,10 @@ are `assert`s and never appear here.
 from __future__ import annotations
 
 import difflib
+import json
+import shlex
 from collections.abc import Iterable
+from pathlib import PurePath
 
 
 class MpdtError(Exception):
@@ -44,16 +47,17 @@ class MpdtError(Exception):
         super().__init__(self.message())
 
     def message(self) -> str:
-        """One line: `where: what; expected E, found F`."""
-        line = f"{self.where}: {self.what}" if self.where else self.what
-        sides = [f"expected {self.expected}"] if self.expected else []
-        sides += [f"found {self.found}"] if self.found else []
+        """One line: `where: what; expected E, found F`, with nothing a terminal would obey."""
+        what = visible(self.what, lines=True)
+        line = f"{visible(self.where)}: {what}" if self.where else what
+        sides = [f"expected {visible(self.expected)}"] if self.expected else []
+        sides += [f"found {visible(self.found)}"] if self.found else []
         return "; ".join([line, ", ".join(sides)]) if sides else line
 
     def render(self) -> str:
         """The text the command lines print on stderr, without colour."""
         text = f"error: {self.message()}"
-        return f"{text}\nhint:  {self.hint}" if self.hint else text
+        return f"{text}\nhint:  {visible(self.hint, lines=True)}" if self.hint else text
 
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions cross process borders; the default would lose the keyword arguments.
@@ -119,6 +123,41 @@ class BackboneError(UsageError):
 
 class TrainingError(MpdtError, RuntimeError):
     pass
+
+
+def visible(text: str, lines: bool = False) -> str:
+    """The text as a terminal may show it: control characters, and those that turn the direction
+    of writing, as `\\x1b` and `\\u202e`. Names in a file may hold any.
+
+    Args:
+        lines: line ends and tabs stay.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        char if char.isprintable() or (lines and char in "\n\t") else _escaped(char)
+        for char in text
+    )
+
+
+def visible_json(text: str) -> str:
+    """JSON text of the same value in which such characters are escaped as JSON has it."""
+    if text.isprintable():
+        return text
+    return "".join(
+        char if char.isprintable() or char == "\n" else json.dumps(char)[1:-1] for char in text
+    )
+
+
+def _escaped(char: str) -> str:
+    return char.encode("unicode_escape").decode("ascii")
+
+
+def quoted(word: object) -> str:
+    """A value as one word of a command that somebody will type."""
+    text = str(word)
+    is_option = isinstance(word, PurePath) and text.startswith("-")
+    return shlex.quote(f"./{text}" if is_option else text)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

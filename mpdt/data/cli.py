@@ -38,7 +38,7 @@ from mpdt.data.verbs.options import Options
 from mpdt.data.verbs.pages import Report, View
 from mpdt.data.verbs.remote import Pull, Push
 from mpdt.data.verbs.trust import Lock, Verify
-from mpdt.errors import MpdtError, UsageError, unknown_name
+from mpdt.errors import MpdtError, UsageError, unknown_name, visible
 from mpdt.pipe import reader_may_leave
 
 VERBS: dict[str, type[Options]] = {
@@ -189,7 +189,7 @@ def _terminate(signum: int, frame: FrameType | None) -> NoReturn:
 
 def _interrupted(words: Sequence[str], code: int) -> int:
     again = [word for word in words if word != "--restart"]
-    sys.stderr.write(f"interrupted; go on with: mpdt-data {shlex.join(again)}\n")
+    sys.stderr.write(visible(f"interrupted; go on with: mpdt-data {shlex.join(again)}") + "\n")
     return code
 
 

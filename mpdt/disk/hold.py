@@ -30,7 +30,7 @@ from pathlib import Path
 
 from mpdt.disk.holder import Holder, read_holder
 from mpdt.disk.refusal import disk
-from mpdt.errors import BusyError, StorageError
+from mpdt.errors import BusyError, StorageError, quoted
 
 WAIT_S = 10.0
 """How long a writer waits for another one by default."""
@@ -280,7 +280,7 @@ def _is_at(handle: int, path: Path) -> bool:
 
 def _busy(lock: Path, target: Path, other: Holder | None, busy: str, kept: str) -> BusyError:
     who = str(other) if other else "a process that does not say who it is"
-    end = f", or end it with `kill {other.pid}`" if other and other.is_here else ""
+    end = f", or end it with `kill {quoted(other.pid)}`" if other and other.is_here else ""
     hint = f"wait for it{end}" + (f"; {kept}" if kept else "")
     if other is None or not other.is_here:
         hint += f"; if it is gone, delete {lock}"

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from mpdt.errors import visible
+
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
@@ -51,17 +53,22 @@ def markdown_page(header: Mapping[str, str], tables: Sequence[Table], closing: s
 
 
 def rich_tables(tables: Sequence[Table]) -> list[RichTable]:
-    """The same for a `rich.console.Console`."""
+    """The same for a `rich.console.Console`; cells are text, whatever brackets are in them."""
     from rich.table import Table as RichTable
+    from rich.text import Text
+
+    def text(cell: object) -> Text:
+        return Text(visible(str(cell)))
 
     drawn = []
     for table in tables:
-        rich = RichTable(title=table.title, title_justify="left")
+        rich = RichTable(title=text(table.title), title_justify="left")
         for i, column in enumerate(table.columns):
-            rich.add_column(column, justify="right" if i else "left", no_wrap=not i)
+            rich.add_column(text(column), justify="right" if i else "left", no_wrap=not i)
         for i, row in enumerate(table.rows):
-            rich.add_row(*row, end_section=i + 1 == len(table.rows) - table.closing)
-        rich.caption, rich.caption_justify = "\n".join(table.notes) or None, "left"
+            rich.add_row(*map(text, row), end_section=i + 1 == len(table.rows) - table.closing)
+        notes = Text("\n").join(map(text, table.notes))
+        rich.caption, rich.caption_justify = notes if table.notes else None, "left"
         drawn.append(rich)
     return drawn
 

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from mpdt.errors import MpdtError
+from mpdt.errors import MpdtError, visible
 from mpdt.pipe import reader_may_leave
 from mpdt.train.options import (
     COMMANDS,
@@ -176,7 +176,7 @@ def _study(command: Study) -> int:
         states = []
         for outcome in looked if command.dry_run else done:
             line = f"{outcome.state:<8} {outcome.cell.name}  {outcome.note}"
-            sys.stdout.write(line.rstrip() + "\n")
+            sys.stdout.write(visible(line.rstrip()) + "\n")
             sys.stdout.flush()
             states.append(outcome.state)
         return 1 if "failed" in states else 0
@@ -223,7 +223,7 @@ def _until_stopped(body: Callable[[StopRequest], int]) -> int:
     except Stopped as stopped:
         sys.stderr.write(f"\n{stopped}; saved. Continue with the same command:\n")
         given = [word for word in sys.argv[1:] if word != "--restart"]
-        sys.stderr.write(f"  {PROG} {shlex.join(given)}\n")
+        sys.stderr.write(visible(f"  {PROG} {shlex.join(given)}") + "\n")
         return stopped.exit_code
 
 

@@ -1,5 +1,9 @@
 """One table, two drawings: Markdown for pages, rich for the terminal."""
 
+import io
+
+from rich.console import Console
+
 from mpdt.draw.table import Table, markdown_page, markdown_table, rich_tables
 
 ROWS = (("a|b", "1"), ("c", "2"), ("all", "1.5"))
@@ -25,3 +29,15 @@ def test_what_sums_up_stands_apart_on_the_terminal():
     assert [row.end_section for row in drawn.rows] == [False, True, False]
     plain = Table(TABLE.title, TABLE.columns, TABLE.rows)
     assert not any(row.end_section for row in rich_tables([plain])[0].rows[:-1])
+
+
+def test_cells_are_text_on_a_terminal():
+    """Neither markup of rich nor an escape sequence: names of tasks may hold both."""
+    rows = (("[/x]", "\x1b[31m1"), ("[red]", "\u202e"))
+    out = io.StringIO()
+    table = Table("[/t]", ("task", "[b]a"), rows, ("[/n]",))
+    Console(file=out, width=100).print(rich_tables([table])[0])
+    shown = out.getvalue()
+    for text in ("[/x]", "[b]a", "\\x1b[31m1", "[red]", "\\u202e", "[/n]", "[/t]"):
+        assert text in shown
+    assert not set("\x1b\u202e") & set(shown)

@@ -30,7 +30,7 @@ from mpdt.data.spec.change import changed_keys
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
-from mpdt.errors import BusyError, DataError, FormatError, StorageError
+from mpdt.errors import BusyError, DataError, FormatError, StorageError, quoted
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def check_space(plan: Plan, target: Path) -> None:
         raise StorageError(
             "the folder does not exist",
             where=str(target.parent),
-            hint=f"mkdir -p {target.parent}",
+            hint=f"mkdir -p {quoted(target.parent)}",
         )
     needed, free = 2 * plan.file_bytes, shutil.disk_usage(target.parent).free
     parts = PartsFolder(target).path / "blocks"

@@ -20,7 +20,7 @@ from mpdt.data.collect.plan import Plan
 from mpdt.data.collect.runner import BlockReport
 from mpdt.data.reference import Reference, References, level
 from mpdt.data.sim.constants import choose_constant, constant_actions
-from mpdt.errors import DataError
+from mpdt.errors import DataError, quoted
 
 MEDIUM_RANGE = (0.35, 0.65)
 ERRORS = 2  # standard errors outside MEDIUM_RANGE up to which nobody can tell
@@ -181,8 +181,8 @@ def _remedy(plan: Plan) -> str:
     name, behaviour = plan.spec.name, plan.spec.behaviour
     if behaviour.script is not None:
         return (
-            f"mpdt-data calibrate {name} measures the mixing rates again, into this folder; "
-            "collect then makes only the blocks of new rates again"
+            f"mpdt-data calibrate {quoted(name)} measures the mixing rates again, into this "
+            "folder; collect then makes only the blocks of new rates again"
         )
     return (
         f"change behaviour.rungs (now {behaviour.rungs}; medium is the rung nearest level 0.5) "

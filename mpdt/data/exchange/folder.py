@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from mpdt.errors import DataError, MissingFileError, StorageError
+from mpdt.errors import DataError, MissingFileError, StorageError, quoted
 from mpdt.reading import refuse_special
 
 
@@ -53,4 +53,4 @@ def refuse_existing(target: Path) -> None:
                         hint="choose another name with -o, or delete it first")  # fmt: skip
     if not target.parent.is_dir():
         raise StorageError("folder does not exist", where=str(target.parent),
-                           hint=f"mkdir -p {target.parent}")  # fmt: skip
+                           hint=f"mkdir -p {quoted(target.parent)}")  # fmt: skip

@@ -33,7 +33,7 @@ from mpdt.data.exchange.selection import Selection
 from mpdt.data.exchange.treatment import RawEpisode, Rules, joined
 from mpdt.data.exchange.unpickle import load_pickle
 from mpdt.data.spec.tasks import Family, Task
-from mpdt.errors import DataError, FormatError, ShapeError
+from mpdt.errors import DataError, FormatError, ShapeError, quoted
 
 LOST = "seeds, policies, success, and which end was a time limit"
 NUM_PROMPTS = 5
@@ -80,7 +80,8 @@ def _task(path: Path, env: str, index: int, rules: Rules) -> Task:
         return family.task(single["task"])  # fifty goals of one task
     if env != family.name:
         raise DataError("a file of another family", where=str(path), expected=family.name,
-                        found=env, hint=f"--family {env}, or --task to say what it is")  # fmt: skip
+                        found=env,
+                        hint=f"--family {quoted(env)}, or --task to say what it is")  # fmt: skip
     if index >= len(family.tasks):
         raise DataError(f"no task {index} in {family.name}", where=str(path),
                         expected=f"0 to {len(family.tasks) - 1}")  # fmt: skip

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mpdt.data.exchange.pickle_machine import kind_of
 from mpdt.data.spec.entry import ENV_OPTIONS
 from mpdt.data.spec.tasks import FAMILIES, Family
-from mpdt.errors import DataError, ShapeError, UsageError
+from mpdt.errors import DataError, ShapeError, UsageError, quoted
 
 Flags = NDArray[np.bool_]
 
@@ -104,7 +104,7 @@ def treat(raw: RawEpisode, rules: Rules, where: str) -> Treated:
     if not 1 <= length <= rules.horizon:
         raise DataError("an episode of the wrong length", where=where,
                         expected=f"1 to {rules.horizon} steps", found=str(length),
-                        hint=f"if it is whole: --horizon {length}")  # fmt: skip
+                        hint=f"if it is whole: --horizon {quoted(length)}")  # fmt: skip
     observations = _matrix("observations", raw.observations, length + 1,
                            family.observation_size, family, where)  # fmt: skip
     actions = _matrix("actions", raw.actions, length, family.action_size, family, where)
@@ -205,11 +205,11 @@ def _flags(raw: RawEpisode, length: int, rules: Rules, where: str) -> tuple[Flag
     if truncations[-1] and length != rules.horizon:
         raise DataError("cut off before the time limit", where=where,
                         expected=f"{rules.horizon} steps", found=str(length),
-                        hint=f"if that was its limit: --horizon {length}")  # fmt: skip
+                        hint=f"if that was its limit: --horizon {quoted(length)}")  # fmt: skip
     if terminations[-1] and "terminate" not in ENV_OPTIONS[rules.family.robot]:
         raise DataError(f"{rules.family.name} has no end but its time limit", where=where,
                         expected=f"{rules.horizon} steps", found=str(length),
-                        hint=f"if that was its limit: --horizon {length}")  # fmt: skip
+                        hint=f"if that was its limit: --horizon {quoted(length)}")  # fmt: skip
     return terminations, truncations
 
 

@@ -25,7 +25,7 @@ from mpdt.data.spec.entry import DatasetSpec, canonical_json, spec_hash
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.disk import holding, write_bytes
-from mpdt.errors import DataError, SimulatorError
+from mpdt.errors import DataError, SimulatorError, quoted
 
 MACHINE = ("arch", "cpu", "blas")
 
@@ -54,7 +54,7 @@ def spec_claim(entry: LockEntry, spec: DatasetSpec) -> Claim:
             f"the spec changed ({'; '.join(others or changes)}) but version is still "
             f"{spec.version}",
             where=name,
-            hint=f'set version "{version}", then run: mpdt-data collect {name}',
+            hint=f'set version "{version}", then run: mpdt-data collect {quoted(name)}',
             **hashes,
         )
     if claim is Claim.BACK:
@@ -117,7 +117,7 @@ class LockKeeper:
                 "not in the lock",
                 where=str(self.path),
                 found=spec.name,
-                hint=f"mpdt-data collect {spec.name} without --locked adds it",
+                hint=f"mpdt-data collect {quoted(spec.name)} without --locked adds it",
             )
         if claim is not Claim.SAME:
             raise DataError(
@@ -125,7 +125,7 @@ class LockKeeper:
                 where=spec.name,
                 expected=entry.version,
                 found=spec.version,
-                hint=f"mpdt-data collect {spec.name} without --locked makes and locks it",
+                hint=f"mpdt-data collect {quoted(spec.name)} without --locked makes and locks it",
             )
         names = decisive_packages(spec.family)
         if other := other_versions(entry.packages, provenance.packages(), names):

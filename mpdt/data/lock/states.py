@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,7 +57,8 @@ def _state(name: str, spec: DatasetSpec | None, entry: LockEntry | None, folder:
     if entry is None:
         return LockState(name, "", "not locked", "-")
     file, file_problem = _file_state(name, entry, folder / f"{name}.h5")
-    words = f"{name.removesuffix(SMOKE)} --smoke" if name.endswith(SMOKE) else name
+    is_smoke = name.endswith(SMOKE)
+    words = ["mpdt-data", "collect", name.removesuffix(SMOKE), *(["--smoke"] if is_smoke else [])]
     if spec is None:
         return LockState(name, entry.version, "not in datasets.yaml", file)
     try:
@@ -66,10 +68,10 @@ def _state(name: str, spec: DatasetSpec | None, entry: LockEntry | None, folder:
     if claim is not Claim.SAME:
         state, problem = f"raised to {spec.version}", f"{name}: raised to {spec.version}"
         problem += f", but {entry.version} is locked"
-        update = " --update-lock" if name.endswith(SMOKE) else ""
-        hint = f"mpdt-data collect {words}{update} makes and locks it"
+        update = ["--update-lock"] if is_smoke else []
+        hint = f"{shlex.join([*words, *update])} makes and locks it"
         return LockState(name, entry.version, state, file, problem, hint)
-    hint = f"mpdt-data collect {words} --locked --restart makes the locked one"
+    hint = f"{shlex.join([*words, '--locked', '--restart'])} makes the locked one"
     return LockState(name, entry.version, "same", file, file_problem, hint if file_problem else "")
 
 

@@ -34,7 +34,7 @@ from mpdt.data.sim.probe import Gauge, Probe
 from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.workers.processes import map_blocks
-from mpdt.errors import DataError, SpecError
+from mpdt.errors import DataError, SpecError, quoted
 
 STEP = 0.1  # of the coarse curve
 RATES = tuple(round(1 - STEP * i, 6) for i in range(1, round(1 / STEP)))  # 0.9, 0.8 .. 0.1
@@ -237,7 +237,7 @@ def calibrate(
         raise SpecError(
             "nothing to calibrate: only scripted behaviour has a mixing rate",
             where=f"{spec.name}.behaviour",
-            hint=f"mpdt-data pretrain {spec.name}",
+            hint=f"mpdt-data pretrain {quoted(spec.name)}",
         )
     target = target or local_path()
     check_target(target)

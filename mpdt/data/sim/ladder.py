@@ -30,7 +30,7 @@ from mpdt.data.sim.calibration import (
 from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Task, get_family
-from mpdt.errors import SpecError, unknown_name
+from mpdt.errors import SpecError, quoted, unknown_name
 from mpdt.seeding import HISTORY_STRIDE
 
 
@@ -145,7 +145,7 @@ class ScriptLadder:
                 where=self._spec.name,
                 expected=f"a calibration at horizon {horizon}",
                 found=f"horizons {known}" if known else "none",
-                hint=f"mpdt-data calibrate {self._spec.name}",
+                hint=f"mpdt-data calibrate {quoted(self._spec.name)}",
             )
         found = self._calibrations[task.name, horizon]
         if found.policy not in ("", self._script(task, 0.0, -1, -1.0).info.hash.hex()):
@@ -154,7 +154,7 @@ class ScriptLadder:
                 where=self._spec.name,
                 expected="the script this mpdt and this metaworld have",
                 found=f"policy {found.policy[:8]}",
-                hint=f"mpdt-data calibrate {self._spec.name}",
+                hint=f"mpdt-data calibrate {quoted(self._spec.name)}",
             )
         return found
 

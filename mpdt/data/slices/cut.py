@@ -26,7 +26,7 @@ from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.tables import Additions, Int64, Stats
 from mpdt.data.store.writer import write_file
 from mpdt.disk import holding
-from mpdt.errors import DataError, FormatError, UsageError
+from mpdt.errors import DataError, FormatError, UsageError, quoted
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def choose(dataset: Dataset, cut: Cut) -> Int64:
         raise DataError(
             f"no episode fits {cut.rule()}",
             where=str(dataset.path),
-            hint=f"see what there is: mpdt-data show {dataset.path}",
+            hint=f"see what there is: mpdt-data show {quoted(dataset.path)}",
         )
     return ids
 

@@ -26,7 +26,7 @@ from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
 from mpdt.disk import holding
-from mpdt.errors import DataError, UsageError
+from mpdt.errors import DataError, UsageError, quoted
 from mpdt.seeding import UNKNOWN_SEED_KEY
 
 SAME = ("family", "seed", "horizon", "block", "env", "goals", "behaviour")
@@ -123,7 +123,7 @@ def _places(sources: Sequence[Dataset]) -> tuple[list[_Place], int]:
                 f"{sources[place.source].path}: episode {place.id}",
                 found="task {}, quality {}, block {}, row {}".format(*place.key),
                 hint="see what differs: mpdt-data diff "
-                f"{sources[other.source].path} {sources[place.source].path}",
+                f"{quoted(sources[other.source].path)} {quoted(sources[place.source].path)}",
             )
         here[digest] = place
         kept.append(place)

@@ -42,19 +42,19 @@ def _command(path: Path, known: Iterable[str]) -> str:
     """The command that makes `path`, or nothing for a name that says nothing."""
     known = set(known)
     if path.stem in known:
-        return _collect(path.stem, path)
+        return _collect([path.stem], path)
     name, _, kind = path.stem.rpartition("-")
     source = path.with_name(f"{name}.h5")
     if kind == "smoke" and name in known:
-        return _collect(f"{name} --smoke", path)
+        return _collect([name, "--smoke"], path)
     if kind in QUALITY_CODES and name and (name in known or source.exists()):
-        return f"mpdt-data split {shlex.quote(str(source))} --quality {kind}"
+        return shlex.join(["mpdt-data", "split", str(source), "--quality", kind])
     return ""
 
 
-def _collect(words: str, path: Path) -> str:
-    is_default = path == Path(f"{path.stem}.h5")
-    return f"mpdt-data collect {words}" + ("" if is_default else f" -o {shlex.quote(str(path))}")
+def _collect(words: list[str], path: Path) -> str:
+    target = [] if path == Path(f"{path.stem}.h5") else ["-o", str(path)]
+    return shlex.join(["mpdt-data", "collect", *words, *target])
 
 
 def _entries() -> list[str]:

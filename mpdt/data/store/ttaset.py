@@ -17,7 +17,7 @@ from mpdt.data.store.digest import content_hash, episode_digest
 from mpdt.data.store.sources import TtaSource
 from mpdt.data.store.tables import Bool, Float32, Steps, TtaSet
 from mpdt.disk import disk
-from mpdt.errors import DataError, unknown_name
+from mpdt.errors import DataError, quoted, unknown_name
 from mpdt.seeding import Quality
 
 
@@ -100,8 +100,9 @@ def find_tta_set(dataset: Dataset, name: str, rows: Sequence[int]) -> TtaSet:
     where = str(dataset.path)
     if not dataset.tta:
         raise DataError("no set for test-time adaptation in this file", where=where,
-                        hint=f"give the entry a `tta:` and run: mpdt-data collect {dataset.name}"
-                        ", or skip adaptation: --adapt.starts none")  # fmt: skip
+                        hint="give the entry a `tta:` and run: "
+                             f"mpdt-data collect {quoted(dataset.name)}, or skip adaptation: "
+                             "--adapt.starts none")  # fmt: skip
     if name not in dataset.tta:
         raise unknown_name("TTA set", name, dataset.tta, where=where)
     chosen = dataset.tta[name]

@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
+from mpdt.errors import visible, visible_json
+
 Names = Annotated[tuple[str, ...], arg(metavar="NAME[,NAME...]")]
 
 
@@ -32,14 +34,14 @@ class Options(ABC):
     def say(self, line: str) -> None:
         """A remark for whoever watches."""
         if not self.quiet:
-            sys.stderr.write(line + "\n")
+            sys.stderr.write(visible(line, lines=True) + "\n")
             sys.stderr.flush()
 
     def print(self, result: Any, text: str) -> None:
         """The result: as JSON if asked for, else as text."""
         if self.json:
-            text = json.dumps(result, ensure_ascii=False, allow_nan=False, indent=1)
-        sys.stdout.write(text.rstrip("\n") + "\n")
+            text = visible_json(json.dumps(result, ensure_ascii=False, allow_nan=False, indent=1))
+        sys.stdout.write(visible(text.rstrip("\n"), lines=True) + "\n")
         sys.stdout.flush()
 
 

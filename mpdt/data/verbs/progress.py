@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from mpdt.errors import visible
 from mpdt.pace import Pace
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def show_progress(quiet: bool = False) -> Iterator[Callable[[Progress], None]]:
 
 
 def print_line(line: str) -> None:
-    sys.stderr.write(line + "\n")
+    sys.stderr.write(visible(line) + "\n")
     sys.stderr.flush()
 
 
@@ -100,18 +101,19 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
 
     console = Console(stderr=True)  # a narrow one has no room for the block's label
     speed = Speed()
-    columns = (TextColumn("collect"), BarColumn(bar_width=12), TextColumn("{task.description}"))
+    text = TextColumn("{task.description}", markup=False)
+    columns = (TextColumn("collect"), BarColumn(bar_width=12), text)
     with RichProgress(*columns, console=console, transient=False) as bar:
         task = bar.add_task("", total=None)
 
         def tell(progress: Progress) -> None:
             if progress.last is None and (note := resume_note(progress)):
-                bar.console.print(note, highlight=False)
+                bar.console.print(visible(note), highlight=False, markup=False)
             bar.update(
                 task,
                 total=progress.num_steps,
                 completed=progress.done_steps,
-                description=speed.text(progress, label=console.width >= 110),
+                description=visible(speed.text(progress, label=console.width >= 110)),
             )
 
         yield tell

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mpdt.data.store.tables import Float32
 from mpdt.data.verify.finding import Fault, Finding, judge
 from mpdt.data.verify.material import Chunk, Material, Track
+from mpdt.errors import quoted
 
 Words = NDArray[np.uint64]
 
@@ -64,7 +65,7 @@ class DuplicatesCheck:
         hint = ""
         if faults:
             extra = [str(i) for i in faults[0].episodes[1:4]]
-            command = f"mpdt-data drop {self._material.path} --episodes {','.join(extra)}"
+            command = f"mpdt-data drop {quoted(self._material.path)} --episodes {','.join(extra)}"
             hint = f"{command} -o OUT.h5"
         return judge(self.id, faults, f"no episode twice among {len(data.episodes):,}", hint)
 

@@ -10,7 +10,7 @@ from mpdt.data.store.opening import opened
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.reader import read_file
 from mpdt.data.verify.finding import Fault, Finding, Outcome, judge
-from mpdt.errors import FormatError
+from mpdt.errors import FormatError, quoted
 
 ID = "format"
 
@@ -28,7 +28,7 @@ def open_unchecked(path: Path) -> tuple[Dataset | None, Finding]:
         what = f"{error.what}; expected {error.expected}" if error.expected else error.what
         text = f"{what}; found {error.found}" if error.found else what
         return None, Finding(ID, Outcome.FAIL, text, hint=error.hint or damaged_hint(path))
-    hint = f"mpdt-data import {path} brings foreign files into this format"
+    hint = f"mpdt-data import {quoted(path)} brings foreign files into this format"
     return dataset, judge(ID, faults, f"{layout.FORMAT}, complete, contiguous", hint)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.tables import Int64
+from mpdt.errors import quoted
 
 
 class Outcome(Enum):
@@ -83,7 +84,7 @@ def drop_hint(path: Path, faults: Sequence[Fault]) -> str:
     ids = sorted({i for one in faults if not one.track for i in one.episodes[:3]})
     if not ids:
         return damaged_hint(path)
-    return f"mpdt-data drop {path} --episodes {','.join(map(str, ids))} -o OUT.h5"
+    return f"mpdt-data drop {quoted(path)} --episodes {','.join(map(str, ids))} -o OUT.h5"
 
 
 def fault(

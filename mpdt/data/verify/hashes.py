@@ -18,6 +18,7 @@ from mpdt.data.store.tables import TtaSet
 from mpdt.data.verify.finding import Fault, Finding, judge
 from mpdt.data.verify.material import Chunk, Material, Track
 from mpdt.data.verify.streaming import Faults
+from mpdt.errors import quoted
 
 
 class HashCheck:
@@ -72,7 +73,7 @@ class HashCheck:
             locked, compared = _lock_faults(self._material, *self._lock)
             if locked and not faults:
                 hint = "mpdt-data lock shows the states; mpdt-data collect NAME --locked remakes it"
-                hint = hint.replace("NAME", data.name)
+                hint = hint.replace("NAME", quoted(data.name))
             faults += locked
         text = f"{self._num_digests:,} digests, content {data.content_hash[:8]}{compared}"
         return judge(self.id, faults, text, hint)

@@ -8,6 +8,7 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash
 from mpdt.data.verify.finding import Fault, Finding, fault, judge
 from mpdt.data.verify.material import Material
+from mpdt.errors import quoted
 
 ID = "leak"
 
@@ -15,10 +16,12 @@ ID = "leak"
 def check_leak(material: Material) -> Finding:
     data = material.dataset
     faults = _stats_faults(data)
-    hint = f"mpdt-data split {material.path} --train -o OUT.h5 computes them again"
+    hint = f"mpdt-data split {quoted(material.path)} --train -o OUT.h5 computes them again"
     slices = [*_slice_faults(material)]
     if slices and not faults:
-        hint = f"mpdt-data split {material.path} --train --name train writes that slice again"
+        hint = (
+            f"mpdt-data split {quoted(material.path)} --train --name train writes that slice again"
+        )
     saw = "no stats" if data.stats_info is None else "stats saw train tasks only"
     passed = f"{saw}; {len(data.slices)} slices with absolute ids"
     return judge(ID, faults + slices, passed, hint)

@@ -16,6 +16,7 @@ from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.reference import Reference, References
 from mpdt.data.verify.finding import Fault, Finding, fault, judge
 from mpdt.data.verify.material import Material
+from mpdt.errors import quoted
 
 ID = "quality"
 ORDER = ("random", "medium", "expert")
@@ -48,7 +49,8 @@ def check_quality(material: Material) -> Finding:
     text = f"random < medium < expert in {ordered}/{count} tasks"
     if shown:
         text += f"; medium level {min(shown):.2f} to {max(shown):.2f}"
-    hint = f"mpdt-data show {material.path}; then: mpdt-data collect {data.name} --restart"
+    hint = f"mpdt-data show {quoted(material.path)}; "
+    hint += f"then: mpdt-data collect {quoted(data.name)} --restart"
     return judge(ID, faults, text, hint)
 
 

@@ -28,7 +28,7 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.ttaset import tta_episodes
 from mpdt.data.verify.finding import Fault, Finding, Outcome, fault, judge
 from mpdt.data.verify.material import Material
-from mpdt.errors import DataError, MpdtError, UsageError
+from mpdt.errors import DataError, MpdtError, UsageError, quoted
 from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
 ID = "replay"
@@ -177,7 +177,8 @@ def check_replay(material: Material, amount: Amount, say: Callable[[str], None])
         f"{tally.episodes:,} episodes, {tally.steps:,} steps byte-equal "
         f"(mujoco {provenance.packages().get('mujoco', 'absent')})"
     )
-    hint = f"mpdt-data verify {material.path} --only replay --replay all; then collect it again"
+    hint = f"mpdt-data verify {quoted(material.path)} --only replay --replay all; "
+    hint += "then collect it again"
     return judge(ID, faults, passed, "" if excuse else hint)
 
 

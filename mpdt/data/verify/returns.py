@@ -8,6 +8,7 @@ from mpdt.data.store.tables import Episodes
 from mpdt.data.verify.finding import Fault, Finding, judge
 from mpdt.data.verify.material import Chunk, Material, Track
 from mpdt.data.verify.streaming import Faults
+from mpdt.errors import quoted
 
 REQUIRED = ("zero", "random", "expert")
 
@@ -50,5 +51,7 @@ class ReturnsCheck:
                 some = ", ".join(unknown[:3]) + (" ..." if len(unknown) > 3 else "")
                 doubt = material.is_imported
                 faults.append(Fault(f"reference {name} unknown: {some}", is_doubt=doubt))
-        hint = f"mpdt-data show {material.path} lists returns and references; collect it again"
+        hint = (
+            f"mpdt-data show {quoted(material.path)} lists returns and references; collect it again"
+        )
         return judge(self.id, faults, "stored = recomputed, references finite", hint)

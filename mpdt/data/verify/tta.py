@@ -15,6 +15,7 @@ import numpy as np
 from mpdt.data.store.tables import TtaSet
 from mpdt.data.verify.finding import Fault, Finding, fault, judge
 from mpdt.data.verify.material import Material
+from mpdt.errors import quoted
 from mpdt.seeding import UNKNOWN_SEED_KEY
 
 ID = "tta"
@@ -34,7 +35,7 @@ def check_tta(material: Material) -> Finding:
             faults += _nesting_faults(f"{name} and {other}", one, two)
     shown = ", ".join(f"{name}: {len(tta):,} episodes" for name, tta in data.tta.items())
     first = next(iter(data.tta))
-    hint = f"mpdt-data tta {material.path} --name {first} makes the set again"
+    hint = f"mpdt-data tta {quoted(material.path)} --name {quoted(first)} makes the set again"
     return judge(ID, faults, f"{shown}; actions uniform, sets nested", hint)
 
 

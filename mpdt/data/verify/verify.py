@@ -32,7 +32,7 @@ from mpdt.data.verify.streaming import StepCheck
 from mpdt.data.verify.tta import check_tta
 from mpdt.data.verify.values import ValuesCheck
 from mpdt.draw.table import markdown_table
-from mpdt.errors import FormatError, MpdtError, unknown_name
+from mpdt.errors import FormatError, MpdtError, quoted, unknown_name
 from mpdt.pace import Pace
 
 CHECKS = (
@@ -188,4 +188,4 @@ def markdown(report: Report) -> str:
     ]
     table = markdown_table(("check", "outcome", "finding", "next"), rows, numbers=False)
     known = f"Content `{report.content_hash or 'unknown'}`: {summary(report.findings)}."
-    return f"# mpdt-data verify {report.path.name}\n\n{known}\n\n{table}\n"
+    return f"# mpdt-data verify {quoted(report.path.name)}\n\n{known}\n\n{table}\n"

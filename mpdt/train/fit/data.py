@@ -22,7 +22,7 @@ from mpdt.data.slices.windows import RewardReturns, WindowBatch, gather_windows
 from mpdt.data.spec.goals import GoalSet
 from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.data.store.reader import Dataset, open_dataset, parse_ref
-from mpdt.errors import DataError, unknown_name
+from mpdt.errors import DataError, quoted, unknown_name
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import SeedKey, generator_at
 
@@ -134,7 +134,8 @@ def load_material(ref: str, quality: str) -> Material:
                         hint="cut-outs of test tasks cannot be trained on")  # fmt: skip
     if "observations" not in dataset.stats:
         raise DataError("no statistics of the training tasks", where=str(path),
-                        hint=f"collect it again: mpdt-data collect {dataset.name}")  # fmt: skip
+                        hint="collect it again: "
+                             f"mpdt-data collect {quoted(dataset.name)}")  # fmt: skip
     chosen = _choose_quality(dataset, slice_name, train_rows, quality)
     ids = {
         row: dataset.select(task=row, quality=None if chosen == ALL else chosen, slice=slice_name)

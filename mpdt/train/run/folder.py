@@ -31,6 +31,7 @@ from mpdt.errors import (
     StorageError,
     TrainingError,
     UsageError,
+    quoted,
 )
 from mpdt.train.fit.log import MetricsLog
 from mpdt.train.run.config import TrainConfig, from_plain
@@ -150,7 +151,7 @@ def _compare(folder: RunFolder, identity: Identity) -> None:
                 f"the run in this folder was trained on {what}", where=str(folder.path),
                 expected=str(old.get(key))[:12], found=new[key][:12],
                 hint="take the file it was trained on, or keep both with "
-                f"--name {folder.path.name}-2",
+                f"--name {quoted(folder.path.name)}-2",
             )  # fmt: skip
     changed = changed_keys(stored["training"], identity.training)
     if changed:
@@ -159,7 +160,7 @@ def _compare(folder: RunFolder, identity: Identity) -> None:
             "another run lives in this folder",
             where=str(folder.path),
             found=re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1", text),
-            hint=f"keep both with --name {folder.path.name}-2, or begin anew with --restart",
+            hint=f"keep both with --name {quoted(folder.path.name)}-2, or begin anew: --restart",
         )
 
 

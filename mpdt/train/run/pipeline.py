@@ -16,7 +16,7 @@ import torch
 
 from mpdt.disk import disk, write_bytes
 from mpdt.draw.table import markdown_page
-from mpdt.errors import MissingFileError, UsageError
+from mpdt.errors import MissingFileError, UsageError, quoted
 from mpdt.model.backbone import from_settings
 from mpdt.train.evaluate.score import encode_results
 from mpdt.train.evaluate.tables import NORMALISED, build_tables
@@ -69,8 +69,8 @@ def run_pipeline(
     inspect(folder, identity, restart)
     if how == "judge" and not folder.weights.exists():
         raise MissingFileError("no trained weights in this run", where=str(folder.path),
-                               hint=f"mpdt-train --data {prepared.ref} "
-                               f"--name {folder.path.name}")  # fmt: skip
+                               hint=f"mpdt-train --data {quoted(prepared.ref)} "
+                               f"--name {quoted(folder.path.name)}")  # fmt: skip
     progress.stop.check()
     torch.set_num_threads(config.threads or len(os.sched_getaffinity(0)))
     backbone = from_settings(config.backbone)

@@ -9,6 +9,7 @@ import sys
 import time
 from typing import TextIO
 
+from mpdt.errors import visible
 from mpdt.train.run.stop import StopRequest
 
 LINE_EVERY_S = 10.0
@@ -33,7 +34,7 @@ class Progress:
         """One line of its own."""
         if not self._quiet:
             self._close()
-            self._stream.write(text + "\n")
+            self._stream.write(visible(text, lines=True) + "\n")
             self._stream.flush()
 
     def update(self, phase: str, done: int, total: int, text: str = "") -> None:
@@ -57,7 +58,7 @@ class Progress:
         per_step_s = (now - self._began_s) / max(1, done - self._first)
         left_s = per_step_s * (total - done)
         clock = f"{int(left_s) // 60}:{int(left_s) % 60:02d} left" if not last else "done"
-        line = f"{phase:<12} {done:>6}/{total}  {clock:<12} {text}"
+        line = visible(f"{phase:<12} {done:>6}/{total}  {clock:<12} {text}")
         if self._terminal:
             self._stream.write("\r" + line[:118].ljust(118) + ("\n" if last else ""))
             self._open = not last

@@ -1,0 +1,82 @@
+"""What reaches a terminal: names are shown as text, and commands can be typed as they stand."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+import mpdt
+from mpdt.errors import DataError, quoted, visible
+
+PACKAGE = Path(mpdt.__file__).parent
+COMMAND = re.compile(r"(\b(mpdt-data|mpdt-train|mkdir|kill|chmod|rm|mv|cp|ssh) |--[a-z-]+[ =]$)")
+SAFE = {"quoted", "_quoted", "join", "quote"}
+
+
+def unquoted(tree: ast.AST) -> list[tuple[int, str]]:
+    """Values that an f-string puts into a command without quoting them for the shell."""
+    found = []
+    for text in ast.walk(tree):
+        if not isinstance(text, ast.JoinedStr):
+            continue
+        before = ""
+        for part in text.values:
+            if isinstance(part, ast.Constant):
+                before = re.sub(r".*[;\n`](?! ?kill)", "", before + str(part.value), flags=re.S)
+                continue
+            assert isinstance(part, ast.FormattedValue)
+            value = part.value
+            is_safe = isinstance(value, ast.Call) and (
+                getattr(value.func, "id", getattr(value.func, "attr", "")) in SAFE
+            )
+            is_number = part.format_spec is not None
+            if COMMAND.search(before) and not is_safe and not is_number:
+                found.append((part.lineno, ast.unparse(value)))
+            before += "x"
+    return found
+
+
+def test_every_value_in_a_command_is_quoted() -> None:
+    found = [
+        f"{path.relative_to(PACKAGE)}:{line} {value}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for line, value in unquoted(ast.parse(path.read_text("utf-8")))
+    ]
+    assert not found, "\n".join(found)
+
+
+def test_the_test_sees_what_it_looks_for() -> None:
+    for text in ('f"mpdt-data show {path}"', 'f"give --family {name}"', '"mkdir -p " f"{path}"'):
+        assert unquoted(ast.parse(text)), text
+    for text in ('f"mpdt-data show {quoted(path)}"', 'f"{path} is not"', 'f"kill {n:d}"'):
+        assert not unquoted(ast.parse(text)), text
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("\x1b[2J", "\\x1b[2J"), ("\x9b31m", "\\x9b31m"), ("a\rb", "a\\rb"),
+        ("\u202eh5.x", "\\u202eh5.x"),
+        ("\u2066", "\\u2066"), ("\x00", "\\x00"), ("é 速", "é 速"), ("\udcff", "\\udcff"),
+        ("\U000e0041", "\\U000e0041"),
+    ],
+)  # fmt: skip
+def test_what_a_terminal_would_obey_is_shown_as_text(name: str, shown: str) -> None:
+    assert visible(name) == shown
+    error = DataError(name, where=name, expected=name, found=name, hint=f"rm {name}")
+    assert name == shown or name not in error.render() + str(error)
+    assert error.render().count(shown) == 5
+
+
+def test_a_name_cannot_begin_a_line_of_its_own() -> None:
+    error = DataError("two mistakes\n  a\n  b", where="x.h5\nhint: rm -rf ~", hint="see\nx")
+    assert error.render() == ("error: x.h5\\nhint: rm -rf ~: two mistakes\n  a\n  b\nhint:  see\nx")
+
+
+def test_quoted() -> None:
+    assert quoted("ml10.h5") == "ml10.h5"
+    assert quoted("x; touch PWNED #") == "'x; touch PWNED #'"
+    assert quoted(Path("-rf")) == "./-rf"
