@@ -44,6 +44,50 @@ def test_help_imports_nothing_heavy(module: str) -> None:
     assert done.stdout.splitlines()[-1] == "HEAVY []"
 
 
+UNPICKLES = {  # by the last names of whatever is called
+    *("pickle.load", "pickle.loads", "Unpickler", "torch.load", "joblib.load", "read_pickle"),
+    *("PPO.load", "VecNormalize.load", "load_from_zip_file", "load_from_pkl", "hub.load"),
+}
+
+
+def unpicklers(source: str) -> list[str]:
+    """Calls in `source` that may run what a file says; `Connection.recv` reads no file."""
+    ends, unsafe = tuple(f".{name}" for name in UNPICKLES), {"allow_pickle", "trust_remote_code"}
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call):
+            name = ast.unparse(node.func)
+            found += [name] if f".{name}".endswith(ends) else []
+            given = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
+            found += [name for key in unsafe if given.get(key, "False") != "False"]
+        elif isinstance(node, ast.ImportFrom) and node.module in ("pickle", "cloudpickle", "dill"):
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return found
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_file_is_ever_unpickled(path: Path) -> None:
+    assert not unpicklers(path.read_text())
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("model = PPO.load(path)", ["PPO.load"]),
+        ("VecNormalize.load(path, env)", ["VecNormalize.load"]),
+        ("torch.load(path, weights_only=True)", ["torch.load"]),
+        ("np.load(file, allow_pickle=True)", ["np.load"]),
+        ("np.load(file, allow_pickle=False)", []),
+        ("AutoModel.from_pretrained(n, trust_remote_code=x)", ["AutoModel.from_pretrained"]),
+        ("pickle.loads(b)", ["pickle.loads"]),
+        ("from pickle import load", ["pickle.load"]),
+        ("pickle.dumps(x); safetensors.numpy.load(b); subject.load(tensors)", []),
+    ],
+)
+def test_the_search_for_unpicklers(source: str, found: list[str]) -> None:
+    assert unpicklers(source) == found
+
+
 NAMED_NUMPY = {"Generator", "SeedSequence", "PCG64", "BitGenerator"}
 TORCH_DRAWS = {
     *("rand", "randn", "randint", "randperm", "rand_like", "randn_like", "randint_like"),

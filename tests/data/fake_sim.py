@@ -88,6 +88,7 @@ class ConstantPolicy:
 class FakeLadder:
     num_rungs = 3
     notice = ""
+    weights = ""
 
     def __init__(self, medium: float = 0.5) -> None:
         self.medium = medium

@@ -127,7 +127,7 @@ def _collect(
         reports, resumed = run_missing(job, folder, engine, on_progress or (lambda _: None))
         levels = measure_levels(plan, reports)
         warnings = check_levels(plan, levels, str(folder.path))
-        dataset = pack(plan, folder, reports, job.policies, levels, approve)
+        dataset = pack(job, folder, reports, levels, approve)
         folder.delete()
     return Collected(dataset, True, resumed, warnings)
 

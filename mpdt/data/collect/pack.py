@@ -12,13 +12,15 @@ from typing import Any
 
 import msgspec
 
+from mpdt.data.collect.job import Job
 from mpdt.data.collect.levels import TaskLevels
 from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.plan import Block, Plan
 from mpdt.data.collect.runner import BlockReport
-from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.episode import Episode
 from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.tasks import Task
+from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import Additions, TaskRow
@@ -26,24 +28,23 @@ from mpdt.data.store.writer import write_file
 
 
 def pack(
-    plan: Plan,
+    job: Job,
     folder: PartsFolder,
     reports: Sequence[BlockReport],
-    policies: Sequence[PolicyInfo],
     levels: Mapping[str, TaskLevels],
     approve: Callable[[Dataset], None] | None = None,
 ) -> Dataset:
-    """Write the target of `folder` from the parts of all blocks of `plan`.
+    """Write the target of `folder` from the parts of all blocks of `job`.
 
     Args:
         reports: one per block, in any order.
-        policies: every policy an episode may name.
         levels: their references go into the task table.
         approve: looks at all episodes before the file takes its place; may raise.
 
     Raises: StorageError where the disk refuses, DataError for a part that was damaged
         meanwhile; the target is untouched in both cases.
     """
+    plan = job.plan
     steps = {report.block: report.steps for report in reports}
 
     def counts(blocks: Sequence[Block]) -> tuple[int, int]:
@@ -66,7 +67,7 @@ def pack(
             approve(dataset)
         return replace(standard_additions(dataset), references=references)
 
-    return write_file(folder.target, _header(plan, policies), source, tta, finish)
+    return write_file(folder.target, _header(job), source, tta, finish)
 
 
 def tta_source(
@@ -78,8 +79,12 @@ def tta_source(
     )
 
 
-def _header(plan: Plan, policies: Sequence[PolicyInfo]) -> FileHeader:
+def _header(job: Job) -> FileHeader:
+    plan = job.plan
     spec, family = plan.spec, plan.family
+    packages = provenance.packages()
+    if job.ladder is not None and job.ladder.weights:  # the spec says where they lay
+        packages[provenance.WEIGHTS] = job.ladder.weights
     return FileHeader(
         family=family.name,
         name=spec.name,
@@ -93,7 +98,8 @@ def _header(plan: Plan, policies: Sequence[PolicyInfo]) -> FileHeader:
             TaskRow(task.name, task.index, task.role, _describe_env(plan, task))
             for task in plan.tasks
         ],
-        policies=policies,
+        policies=job.policies,
+        packages=packages,
     )
 
 

@@ -45,6 +45,11 @@ class Ladder(Protocol):
         """What a user should know about where these policies come from, or nothing."""
         ...
 
+    @property
+    def weights(self) -> str:
+        """SHA-256 of weights of the user's own; empty where mpdt's act, or a script."""
+        ...
+
     def policy(self, task: Task, quality: str, block: int) -> tuple[Policy, float]:
         """Who acts in a block, and its progress in [0, 1].
 
@@ -78,6 +83,8 @@ class ScriptLadder:
     Raises: SpecError if the spec asks for `medium` of a task without calibration at its
         horizon, or for scripts outside Meta-World.
     """
+
+    weights = ""  # a script has none
 
     def __init__(self, spec: DatasetSpec, folder: Path | None = None) -> None:
         self._family = get_family(spec.family)

@@ -1,33 +1,26 @@
 """Behaviour networks: shipped rungs, evaluated in numpy, and the ladder they form.
 
 A network is two tanh layers, goal-conditioned, one for all tasks of a family. Its rungs are
-snapshots of one training run, from untrained to final (`pretrain.py`). Files per network:
-`<name>.safetensors` (arrays `rung-07/w0`, ...) and `<name>.json` (how it was made, and each
-rung's measured return and level per task).
+snapshots of one training run, from untrained to final (`pretrain.py`), read by network_file.py.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Mapping, Sequence
-from importlib import resources
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import load_file
 
 from mpdt.data.episode import QUALITY_CODES, PolicyInfo
 from mpdt.data.sim.actors import Observations, Policy, Rewards, Rows, UniformPolicy
+from mpdt.data.sim.network_file import Weights, load_network
 from mpdt.data.sim.robots import network_inputs
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import Family, Task, get_family
-from mpdt.errors import SpecError, unknown_name
+from mpdt.errors import FormatError, SpecError, unknown_name
 from mpdt.seeding import HISTORY_STRIDE, Stream
-
-Weights = Mapping[str, NDArray[np.float32]]
 
 INPUT_CLIP = 10.0
 
@@ -84,25 +77,6 @@ class NetworkPolicy:
         return actions.astype(np.float64)  # exact; the caller casts back to float32
 
 
-def network_files(name: str) -> tuple[Path, Path]:
-    """Paths of a shipped network's arrays and record. UsageError if there is none."""
-    folder = Path(str(resources.files("mpdt.data.weights")))
-    arrays, record = folder / f"{name}.safetensors", folder / f"{name}.json"
-    if not (arrays.is_file() and record.is_file()):
-        known = [path.stem for path in folder.glob("*.safetensors")]
-        raise unknown_name("behaviour network", name, known, where="behaviour.network")
-    return arrays, record
-
-
-def load_rungs(path: Path) -> list[dict[str, NDArray[np.float32]]]:
-    """Arrays of every rung in a network file, from untrained to final."""
-    rungs: dict[str, dict[str, NDArray[np.float32]]] = {}
-    for name, array in load_file(path).items():
-        rung, _, field = name.partition("/")
-        rungs.setdefault(rung, {})[field] = array
-    return [rungs[name] for name in sorted(rungs)]
-
-
 class NetworkLadder:
     """The policies of a network family: which rung acts for which quality.
 
@@ -112,22 +86,30 @@ class NetworkLadder:
 
     def __init__(self, spec: DatasetSpec) -> None:
         assert spec.behaviour.network is not None
-        arrays, record_path = network_files(spec.behaviour.network)
-        record = json.loads(record_path.read_text())
+        network = load_network(spec.behaviour.network)
+        record = network.record
         self._family = get_family(spec.family)
-        if (record["robot"], record["reward"]) != (self._family.robot, self._family.reward):
+        if (record.robot, record.reward) != (self._family.robot, self._family.reward):
             raise SpecError(
                 f"network '{spec.behaviour.network}' was trained for another family",
                 where=f"{spec.name}.behaviour.network",
                 expected=f"{self._family.robot}/{self._family.reward}",
-                found=f"{record['robot']}/{record['reward']}",
+                found=f"{record.robot}/{record.reward}",
             )
-        self._places = _spread(spec.behaviour.rungs, len(record["rungs"]), spec.name)
-        self._record: list[dict[str, Any]] = [record["rungs"][place] for place in self._places]
-        rungs = load_rungs(arrays)
-        self._weights = [rungs[place] for place in self._places]
+        places = _spread(spec.behaviour.rungs, len(record.rungs), spec.name)
+        self._record = [record.rungs[place] for place in places]
+        names = {task.name for task in self._family.tasks}
+        for rung in self._record:
+            if missing := names - rung.levels.keys():
+                raise FormatError("levels of a task are missing", where=spec.behaviour.network,
+                                  found=", ".join(sorted(missing)))  # fmt: skip
+        self._weights = [network.rungs[place] for place in places]
         self._noise = spec.behaviour.noise
-        self.notice = ""  # only shipped networks act
+        self.weights = network.own[1] if network.own else ""
+        self.notice = ""
+        if network.own:
+            path, digest = network.own
+            self.notice = f"behaviour: weights of your own, {path}, SHA-256 {digest[:16]}"
 
     @property
     def num_rungs(self) -> int:
@@ -162,7 +144,7 @@ class NetworkLadder:
         ]
 
     def _medium(self, task: Task) -> int:
-        levels = [rung["levels"][task.name] for rung in self._record]
+        levels = [rung.levels[task.name] for rung in self._record]
         # The last rung within the tie would be as good; the first is the earlier policy.
         return int(np.argmin(np.abs(np.array(levels) - 0.5)))
 
@@ -178,10 +160,10 @@ class NetworkLadder:
             hash=policy_digest(self._weights[rung], self._noise),
             task=task.index,
             rung=rung,
-            level=float(record["levels"][task.name]),
-            train_step=int(record["train_step"]),
+            level=record.levels[task.name],
+            train_step=record.train_step,
             mix_rate=0.0,
-            name=f"ppo-{record['train_step'] / 1e6:.2f}M",
+            name=f"ppo-{record.train_step / 1e6:.2f}M",
         )
 
     def _rung(self, task: Task, rung: int) -> NetworkPolicy:

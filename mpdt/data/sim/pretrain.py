@@ -18,14 +18,16 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from safetensors.numpy import load_file, save
+import msgspec
+from safetensors.numpy import save
 
-from mpdt.data.sim.rungs import describe_rungs
+from mpdt.data.sim.checkpoint import NAME as CHECKPOINT
+from mpdt.data.sim.checkpoint import PICKLES, Point, load_checkpoint, restore
+from mpdt.data.sim.network_file import load_snapshot
+from mpdt.data.sim.rungs import JUDGED, describe_rungs
 from mpdt.data.spec.tasks import Family, get_family
-from mpdt.disk import check_replaceable, disk, replacing
+from mpdt.disk import check_replaceable, disk, holding, write_bytes
 from mpdt.errors import SimulatorError, UsageError, unknown_name
-
-Curve = list[dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -99,13 +101,34 @@ def pretrain(
     work = folder / f"{name}.pretrain"
     target, record_path = folder / f"{name}.safetensors", folder / f"{name}.json"
     with disk(work):
-        if not resume and work.is_dir():
-            for path in work.iterdir():
-                path.unlink()
         work.mkdir(parents=True, exist_ok=True)
-    for path in (target, record_path, work / "checkpoint.zip"):
-        check_replaceable(path)
-    say = on_progress or (lambda line: None)
+    with holding(work, amends=True, wait_s=0, kept="snapshots are kept"):
+        if not resume:
+            _clear(work)
+        for path in (target, record_path, work / CHECKPOINT):
+            check_replaceable(path)
+        return _pretrain(family, settings, total, seed, work, on_progress or (lambda line: None))
+
+
+def _clear(work: Path) -> None:
+    """Delete what earlier sessions left, and nothing else. Raises: StorageError."""
+    with disk(work):
+        for path in work.glob("[0-9]*.safetensors"):
+            path.unlink()
+        for name in (CHECKPOINT, JUDGED, *PICKLES, "curve.json"):
+            (work / name).unlink(missing_ok=True)
+
+
+def _pretrain(
+    family: Family,
+    settings: PretrainSettings,
+    total: int,
+    seed: int,
+    work: Path,
+    say: Callable[[str], None],
+) -> Path:
+    name, folder = family.name, work.parent
+    target, record_path = folder / f"{name}.safetensors", folder / f"{name}.json"
     curve = _train(family, settings, total, seed, work, say)
     say("judging the snapshots on every task")
     ladder = describe_rungs(
@@ -124,25 +147,23 @@ def pretrain(
         "reward": family.reward,
         "seed": seed,
         "steps": total,
-        "wall_s": curve[-1]["wall_s"],  # of training, without judging
+        "wall_s": curve[-1].wall_s,  # of training, without judging
         "settings": asdict(settings),
         "packages": {
             package: metadata.version(package)
             for package in ("mpdt", "mujoco", "numpy", "stable-baselines3", "torch")
         },
         **ladder,
-        "curve": curve,
+        "curve": [msgspec.to_builtins(point) for point in curve],
     }
-    rungs = [load_file(work / f"{rung['train_step']:012d}.safetensors") for rung in ladder["rungs"]]
+    rungs = [
+        load_snapshot(work / f"{rung['train_step']:012d}.safetensors") for rung in ladder["rungs"]
+    ]
     arrays = {
         f"rung-{i:02d}/{key}": value for i, rung in enumerate(rungs) for key, value in rung.items()
     }
-    for path, content in (
-        (target, save(arrays)),
-        (record_path, (json.dumps(record, indent=1, sort_keys=True) + "\n").encode()),
-    ):
-        with replacing(path) as temporary, disk(path):
-            temporary.write_bytes(content)
+    write_bytes(target, save(arrays))
+    write_bytes(record_path, (json.dumps(record, indent=1, sort_keys=True) + "\n").encode())
     return target
 
 
@@ -153,7 +174,7 @@ def _train(
     seed: int,
     work: Path,
     say: Callable[[str], None],
-) -> Curve:
+) -> list[Point]:
     try:
         import torch
         from stable_baselines3 import PPO
@@ -168,19 +189,17 @@ def _train(
         ) from error
 
     torch.set_num_threads(1)  # small matrix products get slower on more threads
-    checkpoint, curve_path = work / "checkpoint.zip", work / "curve.json"
-    resumes = checkpoint.is_file() and curve_path.is_file()
-    curve: Curve = json.loads(curve_path.read_text()) if resumes else []
+    run = {"network": family.name, "seed": seed, "settings": asdict(settings)}
+    kept = load_checkpoint(work, run)
+    curve = list(kept[0].curve) if kept else []
     # Other episodes than before a stop: the resumed run is a valid, not an equal one.
     rows = LocomotionVecEnv(family, settings.rows, seed + len(curve), settings.threads)
-    if resumes:
-        env = VecNormalize.load(str(work / "normalize.pkl"), rows)
-        model = PPO.load(checkpoint, env=env, device="cpu")
+    env = VecNormalize(rows, norm_obs=True, norm_reward=True, gamma=settings.discount)
+    model = PPO("MlpPolicy", env, seed=seed, device="cpu", **_ppo(settings))
+    if kept:
+        restore(model, *kept, work / CHECKPOINT)
         say(f"resuming at step {model.num_timesteps}")
-    else:
-        env = VecNormalize(rows, norm_obs=True, norm_reward=True, gamma=settings.discount)
-        model = PPO("MlpPolicy", env, seed=seed, device="cpu", **_ppo(settings))
-    snapshots = Snapshots(work, curve, total, max(1, total // settings.snapshots), say)
+    snapshots = Snapshots(work, run, curve, total, max(1, total // settings.snapshots), say)
     remaining = total - int(model.num_timesteps)
     if remaining > 0:
         model.learn(remaining, callback=snapshots, reset_num_timesteps=False)

@@ -9,25 +9,27 @@ rungs      first, final, one near level 0.5 for every task, the rest evenly betw
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from safetensors.numpy import load_file
 
 from mpdt.data.sim.batch import BoolArray, FloatArray, roll_out
 from mpdt.data.sim.locomotion import LocomotionBatch
-from mpdt.data.sim.network import Weights, network_actions
+from mpdt.data.sim.network import network_actions
+from mpdt.data.sim.network_file import Weights, load_snapshot
 from mpdt.data.sim.robots import network_inputs
 from mpdt.data.spec.tasks import Family
-from mpdt.disk import disk, replacing
+from mpdt.disk import disk, write_bytes
+from mpdt.errors import FormatError
 from mpdt.seeding import Quality, SeedKey, Stream
 
 CAREFUL = 8
 """Times the episodes, for the final snapshot and those that may become medium."""
+JUDGED = "judged.json"
 NEAR = 0.3
 """Of one half, by the mean level over tasks."""
 
@@ -49,16 +51,15 @@ def describe_rungs(
     Returns `random` (return per task) and `rungs` (train_step, returns and levels per task).
     """
     paths = sorted(work.glob("[0-9]*.safetensors"))
-    cache = work / "judged.json"
-    judged: dict[str, list[float]] = json.loads(cache.read_text()) if cache.is_file() else {}
+    cache = work / JUDGED
+    judged = _read_judged(cache, len(family.tasks))
 
     def returns_of(path: Path | None, count: int) -> NDArray[np.float64]:
         name = f"{path.stem if path else 'random'} x{count}"
         if name not in judged:
-            weights = load_file(path) if path else None
+            weights = load_snapshot(path) if path else None
             judged[name] = judge(family, weights, count, noise, seed, threads).tolist()
-            with replacing(cache) as temporary, disk(cache):
-                temporary.write_text(json.dumps(judged))
+            write_bytes(cache, msgspec.json.encode(judged))
             say(f"judged {name}, of {len(paths)} snapshots")
         return np.array(judged[name])
 
@@ -88,6 +89,24 @@ def describe_rungs(
             for i in choose_rungs(levels, num_rungs)
         ],
     }
+
+
+def _read_judged(cache: Path, num_tasks: int) -> dict[str, list[float]]:
+    """What earlier sessions judged. Raises: FormatError; StorageError."""
+    with disk(cache):
+        content = cache.read_bytes() if cache.exists() else b"{}"
+    try:
+        judged = msgspec.json.decode(content, type=dict[str, list[float]])
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise _not_judged(cache, str(error)) from error
+    if any(len(returns) != num_tasks for returns in judged.values()):
+        raise _not_judged(cache, "another number of tasks")
+    return judged
+
+
+def _not_judged(cache: Path, found: str) -> FormatError:
+    return FormatError("not a list of judged snapshots", where=str(cache), found=found[:160],
+                       hint="delete it, and they are judged again")  # fmt: skip
 
 
 def judge(

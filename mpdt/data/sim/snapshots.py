@@ -1,11 +1,10 @@
-"""Snapshots of a PPO run: weights, learning curve and a checkpoint to resume from.
+"""Snapshots of a PPO run: weights on the way, and the checkpoint to go on from.
 
 Only `pretrain.py` imports this, for it needs stable-baselines3.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,35 +15,43 @@ from numpy.typing import NDArray
 from safetensors.numpy import save
 from stable_baselines3.common.callbacks import BaseCallback
 
-from mpdt.disk import disk, replacing, write_bytes
-
-Curve = list[dict[str, float]]
+from mpdt.data.sim.checkpoint import Point, save_checkpoint
+from mpdt.disk import write_bytes
 
 
 class Snapshots(BaseCallback):  # type: ignore[misc]  # untyped base
     """Every `every` environment steps, between two rollouts.
 
     Args:
-        work: folder of `<step>.safetensors`, `curve.json`, `checkpoint.zip`, `normalize.pkl`.
-        curve: points of earlier sessions: step, mean return, seconds of training so far.
+        work: folder of `<step>.safetensors` and the checkpoint.
+        run: what the run was started with; stored with every checkpoint.
+        curve: points of earlier sessions.
         total: steps of the whole run, for the progress line.
     """
 
     def __init__(
-        self, work: Path, curve: Curve, total: int, every: int, say: Callable[[str], None]
+        self,
+        work: Path,
+        run: dict[str, Any],
+        curve: list[Point],
+        total: int,
+        every: int,
+        say: Callable[[str], None],
     ) -> None:
         super().__init__()
         self.curve = curve
-        self._work, self._total, self._every, self._say = work, total, every, say
-        self._earlier_step = int(curve[-1]["step"]) if curve else 0
-        self._earlier_s = curve[-1]["wall_s"] if curve else 0.0
+        self._work, self._run, self._total = work, run, total
+        self._every, self._say = every, say
+        self._earlier_step = curve[-1].step if curve else 0
+        self._earlier_s = curve[-1].wall_s if curve else 0.0
         self._next = self._earlier_step + every if curve else 0
         self._since = time.monotonic()
 
     def _on_rollout_start(self) -> None:
         step = int(self.num_timesteps)
         rate = (step - self._earlier_step) / max(1e-9, time.monotonic() - self._since)
-        line = f"step {step}/{self._total}  mean return {self._mean_return():.1f}"
+        mean = self._mean_return()
+        line = f"step {step}/{self._total}  mean return {'-' if mean is None else f'{mean:.1f}'}"
         self._say(f"{line}  {rate:.0f} steps/s")
         if step >= self._next:
             self.take(step)
@@ -52,24 +59,17 @@ class Snapshots(BaseCallback):  # type: ignore[misc]  # untyped base
     def _on_step(self) -> bool:
         return True
 
-    def _mean_return(self) -> float:
+    def _mean_return(self) -> float | None:
         returns = [info["r"] for info in self.model.ep_info_buffer]
-        return float(np.mean(returns)) if returns else float("nan")
+        return float(np.mean(returns)) if returns else None
 
     def take(self, step: int) -> None:
         """Keep the policy as it is now. Raises: StorageError."""
-        work = self._work
-        write_bytes(work / f"{step:012d}.safetensors", save(export(self.model)))
+        write_bytes(self._work / f"{step:012d}.safetensors", save(export(self.model)))
         wall_s = round(self._earlier_s + time.monotonic() - self._since, 1)
-        mean = round(self._mean_return(), 2)
-        self.curve.append({"step": step, "mean_return": mean, "wall_s": wall_s})
-        write_bytes(work / "curve.json", json.dumps(self.curve).replace("NaN", "null").encode())
-        for name, keep in (
-            ("checkpoint.zip", self.model.save),
-            ("normalize.pkl", lambda path: self.model.get_env().save(str(path))),
-        ):
-            with replacing(work / name) as temporary, disk(work / name):
-                keep(temporary)
+        mean = self._mean_return()
+        self.curve.append(Point(step, None if mean is None else round(mean, 2), wall_s))
+        save_checkpoint(self._work, self.model, self._run, self.curve)
         self._next = step + self._every
 
 

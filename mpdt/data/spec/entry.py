@@ -44,7 +44,8 @@ class Behaviour(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Who acts: a shipped behaviour network or a scripted policy, exactly one of the two.
 
     Args:
-        network: name of the shipped weights.
+        network: name of the shipped weights, or the path of one's own without suffix, such as
+            `./weights/cheetah_dir`; what has a slash or begins with a dot is a path.
         script: `metaworld`, its own scripted policies.
         rungs: number of policies on the ladder from untrained to final.
         noise: standard deviation of the Gaussian added to a network's actions.
@@ -54,6 +55,11 @@ class Behaviour(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     script: str | None = None
     rungs: int = 20
     noise: float = 0.0
+
+
+def is_own_network(network: str | None) -> bool:
+    """Whether `behaviour.network` is a path, and not the name of shipped weights."""
+    return network is not None and ("/" in network or network.startswith("."))
 
 
 class EpisodeCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -11,6 +11,9 @@ import numpy as np
 
 _PACKAGES = ("mpdt", "numpy", "h5py", "mujoco", "gymnasium", "metaworld", "torch")
 
+WEIGHTS = "behaviour weights"
+"""Beside the packages of a file: SHA-256 of the weights that acted, if mpdt does not ship them."""
+
 
 def packages() -> dict[str, str]:
     """Versions of what decides the bytes of a dataset; a package not installed is left out.

@@ -10,7 +10,8 @@ import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.reference import REFERENCE_POLICIES, Reference, level
-from mpdt.data.store import layout
+from mpdt.data.spec.entry import is_own_network
+from mpdt.data.store import layout, provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.tables import Int64
 from mpdt.data.verbs.options import number, or_none, text_table
@@ -37,10 +38,20 @@ def describe(data: Dataset, ids: Int64 | None = None) -> dict[str, Any]:
         "observation_size": data.observation_size,
         "action_size": data.action_size,
         "packages": dict(data.packages),
+        "own_weights": _own_weights(data),
         "tasks": [_task(data, row, ids) for row in range(len(data.tasks))],
         "slices": {name: len(found) for name, found in data.slices.items()},
         "tta": {name: len(tta) for name, tta in data.tta.items()},
     }
+
+
+def _own_weights(data: Dataset) -> dict[str, str] | None:
+    """Where the spec found weights that mpdt does not ship, and their SHA-256; else None."""
+    behaviour = data.spec.get("behaviour")
+    network = behaviour.get("network") if isinstance(behaviour, Mapping) else None
+    if not isinstance(network, str) or not is_own_network(network):
+        return None
+    return {"network": network, "sha256": data.packages.get(provenance.WEIGHTS, "unknown")}
 
 
 def _task(data: Dataset, row: int, ids: Int64) -> dict[str, Any]:
@@ -137,7 +148,11 @@ def _with_error(found: Reference) -> str:
 def header_lines(found: Mapping[str, Any]) -> list[str]:
     """The header of `describe` as lines."""
     origin = f"   cut out of {found['parent'][:8]}" if found["parent"] else ""
-    versions = "  ".join(f"{name} {version}" for name, version in found["packages"].items())
+    versions = "  ".join(
+        f"{name} {version}" for name, version in found["packages"].items()
+        if name != provenance.WEIGHTS
+    )  # fmt: skip
+    own = found["own_weights"]
     return [
         f"{found['path']}   {found['name']} {found['version']}   family {found['family']}   "
         f"{found['bytes'] / 1e6:.1f} MB   {found['license']}",
@@ -146,6 +161,11 @@ def header_lines(found: Mapping[str, Any]) -> list[str]:
         f"size     {found['episodes']:,} episodes   {found['steps']:,} steps   "
         f"observation {found['observation_size']}   action {found['action_size']}",
         f"made by  {versions}",
+        *(
+            [f"weights  not of mpdt: {own['network']}   SHA-256 {own['sha256'][:16]}"]
+            if own
+            else []
+        ),
     ]
 
 

@@ -47,14 +47,27 @@ class List(Options):
         cells = [[str(row[key]) for key in heading] for row in rows]
         self.print(
             {"catalog": str(catalog.path), "rows": rows},
-            f"entries of {catalog.path}\n" + text_table([heading, *cells], numbers_from=5),
+            f"entries of {catalog.path}\n"
+            + text_table([heading, *cells], numbers_from=5)
+            + "".join(
+                f"\n{row['name']} acts with weights that mpdt does not ship: {row['weights']}"
+                for row in rows
+                if row.get("weights")
+            ),
         )
 
 
 def _entry_row(spec: DatasetSpec, path: Path) -> dict[str, Any]:
-    from mpdt.data.spec.entry import spec_hash
+    from mpdt.data.spec.entry import is_own_network, spec_hash
 
-    row = {"name": spec.name, "version": spec.version, "family": spec.family, "episodes": ""}
+    row: dict[str, Any] = {
+        "name": spec.name,
+        "version": spec.version,
+        "family": spec.family,
+        "episodes": "",
+    }
+    if is_own_network(spec.behaviour.network):
+        row["weights"] = spec.behaviour.network
     if not path.exists():
         parts = path.with_name(path.name + ".parts")
         return row | {"state": "unfinished" if parts.is_dir() else "missing", "file": str(path)}

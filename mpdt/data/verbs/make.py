@@ -49,8 +49,8 @@ class Plans(Options):
     def run(self) -> None:
         from mpdt.data.spec.catalog import load_catalog
 
-        plan = self.chosen_job(load_catalog(self.spec)).plan
-        self.print(self.estimate(plan), self.estimate_text(plan))
+        job = self.chosen_job(load_catalog(self.spec))
+        self.print(self.estimate(job.plan) | {"notices": job.notices}, self.estimate_text(job.plan))
 
     def chosen_job(self, catalog: Catalog) -> Job:
         """The job of the chosen entry; says where rates and references come from.

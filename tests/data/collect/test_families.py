@@ -13,7 +13,7 @@ from mpdt.data.collect.collect import collect
 from mpdt.data.collect.job import make_job
 from mpdt.data.sim.calibration import load_calibrations
 from mpdt.data.sim.ladder import load_ladder
-from mpdt.data.sim.network import network_files
+from mpdt.data.sim.network_file import network_files
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts, TtaRule
 from mpdt.data.spec.goals import GoalSet

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -13,14 +15,13 @@ from mpdt.data.sim.actors import Rows, UniformPolicy
 from mpdt.data.sim.network import (
     NetworkLadder,
     NetworkPolicy,
-    load_rungs,
     network_actions,
-    network_files,
     policy_digest,
 )
+from mpdt.data.sim.network_file import load_network, network_files
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.tasks import get_family
-from mpdt.errors import SpecError, UsageError
+from mpdt.errors import FormatError, MissingFileError, SpecError, UsageError
 from mpdt.seeding import HISTORY_STRIDE, Quality, SeedKey, Stream
 
 FAMILY = get_family("cheetah_dir")
@@ -112,7 +113,7 @@ def test_shipped_expert_reaches_the_official_data() -> None:
 
 
 def test_fewer_rungs_keep_first_and_last() -> None:
-    all_rungs = load_rungs(network_files("cheetah_dir")[0])
+    all_rungs = load_network("cheetah_dir").rungs
     ladder = NetworkLadder(spec(rungs=3))
     assert ladder.num_rungs == 3
     first, _ = ladder.policy(FAMILY.tasks[0], "history", 0)
@@ -129,3 +130,61 @@ def test_impossible_ladders_are_refused() -> None:
         NetworkLadder(spec(network="cheetah_dirr"))
     with pytest.raises(UsageError, match="quality"):
         NetworkLadder(spec()).policy(FAMILY.tasks[0], "good", 0)
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A copy of the shipped network as somebody's own, its path without suffix."""
+    for path in network_files("cheetah_dir"):
+        shutil.copy(path, tmp_path / f"mine{path.suffix}")
+    return tmp_path / "mine"
+
+
+def test_own_weights_act_and_are_told_of(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shipped, mine = NetworkLadder(spec()), NetworkLadder(spec(network=str(own)))
+    assert mine.policies(FAMILY.tasks) == shipped.policies(FAMILY.tasks)
+    assert (shipped.notice, shipped.weights) == ("", "")
+    digest = hashlib.sha256(own.with_suffix(".safetensors").read_bytes()).hexdigest()
+    assert mine.weights == digest
+    assert mine.notice == (
+        f"behaviour: weights of your own, {own}.safetensors, SHA-256 {digest[:16]}"
+    )
+    monkeypatch.chdir(own.parent)
+    assert NetworkLadder(spec(network="./mine")).notice == mine.notice
+    with pytest.raises(MissingFileError, match=r"yours\.safetensors: behaviour weights are not"):
+        NetworkLadder(spec(network="./yours"))
+
+
+def test_own_weights_that_are_none_are_one_clear_error(own: Path) -> None:
+    from safetensors.numpy import load_file, save_file
+
+    arrays, record = own.with_suffix(".safetensors"), own.with_suffix(".json")
+    good, told = load_file(arrays), json.loads(record.read_text())
+
+    def refused(match: str) -> None:
+        with pytest.raises(FormatError, match=match):
+            NetworkLadder(spec(network=str(own)))
+
+    for broken in (b"", b"\x80\x04.", b"\xff" * 64, arrays.read_bytes()[:-9]):
+        arrays.write_bytes(broken)
+        refused("not a file of weights")
+    for changed in (
+        {"rung-00/w0": good["rung-00/w0"][:, :3]},
+        {"rung-00/w0": np.full_like(good["rung-00/w0"], np.nan)},
+        {"rung-00/w0": good["rung-00/w0"].astype(np.float64)},
+        {"rung-00/b9": np.zeros(1, np.float32)},
+        {"x": np.zeros((), np.float32)},
+    ):
+        save_file(good | changed, arrays)
+        refused("not a behaviour network")
+    save_file(good, arrays)
+    rungs = told["rungs"]
+    for text, match in (
+        ("[]", "not the record"),
+        ("{", "not the record"),
+        (json.dumps(told | {"rungs": [{"train_step": "0", "levels": {}}]}), "not the record"),
+        (json.dumps(told | {"rungs": rungs[:-1]}), "weights and their record disagree"),
+        (json.dumps(told | {"rungs": [rung | {"levels": {}} for rung in rungs]}), "levels of a"),
+    ):
+        record.write_text(text)
+        refused(match)
