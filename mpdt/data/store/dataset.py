@@ -11,6 +11,7 @@ import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES, Episode, PolicyInfo
 from mpdt.data.store.digest import content_header
+from mpdt.data.store.opening import Source
 from mpdt.data.store.tables import (
     Episodes,
     Float64,
@@ -32,6 +33,7 @@ class Dataset:
     It keeps its data when the path is replaced, and may be used after a fork.
 
     Args:
+        source: the file itself, which is read on even if another one has its path by now.
         spec: the datasets.yaml entry that made it; `spec_hash` its SHA-256.
         content_hash: identity of the episodes, whatever the slices, stats or packages.
         parent: content hash of the file it was cut out of, or "".
@@ -44,6 +46,7 @@ class Dataset:
     """
 
     path: Path
+    source: Source = field(repr=False)
     family: str
     name: str
     version: str

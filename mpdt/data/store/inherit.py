@@ -88,7 +88,7 @@ def tta_of(dataset: Dataset, name: str, rows: Sequence[int] | None = None) -> Tt
     tta = dataset.tta[name]
     kept = set(range(len(dataset.tasks)) if rows is None else rows)
     ids = [i for i in range(len(tta)) if int(tta.task[i]) in kept]
-    rewards, successes = open_tta_rewards(dataset.path, name)
+    rewards, successes = open_tta_rewards(dataset, name)
     indices = {dataset.tasks.indices[row] for row in kept}
     presets = {
         dataset.tasks.indices[tta.task[i]]: float(tta.preset_return[i]) for i in reversed(ids)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,8 +15,55 @@ import h5py
 from mpdt.data.store import layout
 from mpdt.data.store.origin import damaged_hint, missing_hint
 from mpdt.data.store.tree import Tree
+from mpdt.disk import Seen
 from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError
 from mpdt.reading import open_plain
+
+
+class Source:
+    """A file that stays open, so that what was opened is what is read, whatever takes its place.
+
+    Its path names the file itself where the system has /proc; elsewhere it is looked at again, and
+    another file is refused.
+    """
+
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self.path, self.seen = path, Seen.of(os.fstat(stream.fileno()))
+        self._handle = os.dup(stream.fileno())
+        weakref.finalize(self, os.close, self._handle)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _open_again, (self.path, self.seen)
+
+    def open(self) -> BinaryIO:
+        """The bytes, to be closed by the caller. Raises: StorageError if it is another file now."""
+        if (name := _proc_name(self._handle)) is not None:
+            return name.open("rb")
+        stream = open_plain(self.path)
+        if Seen.of(os.fstat(stream.fileno())) != self.seen:
+            stream.close()
+            raise _replaced(self.path)
+        return stream
+
+
+def _open_again(path: Path, seen: Seen) -> Source:
+    """In another process. Raises: StorageError if it is another file now."""
+    with open_plain(path) as stream:
+        source = Source(path, stream)
+    if source.seen != seen:
+        raise _replaced(path)
+    return source
+
+
+def _proc_name(handle: int) -> Path | None:
+    """A name that leads to an open file even if its path leads elsewhere by now."""
+    name = Path(f"/proc/self/fd/{handle}")
+    return name if name.exists() else None
+
+
+def _replaced(path: Path) -> StorageError:
+    return StorageError("another file took its place since it was opened", where=str(path),
+                        hint="the same command again reads the one that is there")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +75,16 @@ class Opened:
 
 
 @contextmanager
-def opened(path: Path, unfinished: bool = False) -> Iterator[Opened]:
+def opened(
+    path: Path, unfinished: bool = False, source: Source | None = None
+) -> Iterator[Opened]:  # fmt: skip
     """A complete mpdt/1 file that holds nothing but what the format knows, inside itself.
 
+    Args:
+        source: what was opened under that path before, to be read instead of what is there now.
     Raises: as `open_dataset`; FormatError also for whatever cannot be read inside the context.
     """
-    with _open(path) as (file, stream), _told_as_damage(path):
+    with _open(path, source) as (file, stream), _told_as_damage(path):
         tree = Tree(file, str(path))
         _check_header(file, path, unfinished)
         tree.check(stream, os.fstat(stream.fileno()).st_size)
@@ -59,24 +111,31 @@ def _told_as_damage(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _open(path: Path) -> Iterator[tuple[h5py.File, BinaryIO]]:
+def _open(path: Path, source: Source | None) -> Iterator[tuple[h5py.File, BinaryIO]]:
     where = str(path)
     try:
-        stream = open_plain(path)
+        stream = source.open() if source else open_plain(path)
     except MissingFileError as error:
         raise MissingFileError(error.what, where=where, hint=missing_hint(path)) from error
-    with stream:
-        if not h5py.is_hdf5(path):
-            raise FormatError("not an HDF5 file", where=where, hint=damaged_hint(path))
-        try:
+    with stream, _hdf5(path, stream) as file:
+        yield file, stream
+
+
+def _hdf5(path: Path, stream: BinaryIO) -> h5py.File:
+    """The very file of `stream`, for the mapping shows that one, whatever is at `path` by now."""
+    there = Seen.at(path.resolve())
+    is_there = there == Seen.of(os.fstat(stream.fileno()))
+    if is_there and not h5py.is_hdf5(path):
+        raise FormatError("not an HDF5 file", where=str(path), hint=damaged_hint(path))
+    try:
+        if is_there:
             file = h5py.File(path, "r")
-        except OSError as error:
-            raise _refusal(path, error) from error
-        with file:
-            # The mapping must show the very file h5py looked at, even if the path was replaced.
-            if not os.path.samestat(os.fstat(stream.fileno()), path.stat()):
-                raise StorageError("replaced while it was opened", where=where, hint="try again")
-            yield file, stream
+            if os.path.samestat(os.fstat(file.id.get_vfd_handle()), os.fstat(stream.fileno())):
+                return file
+            file.close()
+        return h5py.File(stream, "r")  # through Python, which is slower
+    except OSError as error:
+        raise _refusal(path, error) from error
 
 
 def _refusal(path: Path, error: OSError) -> FormatError | StorageError:

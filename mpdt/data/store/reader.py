@@ -18,7 +18,7 @@ from mpdt.data.store import layout, tables
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash as hash_content
 from mpdt.data.store.integrity import check_names, check_tables
-from mpdt.data.store.opening import opened
+from mpdt.data.store.opening import Opened, Source, opened
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.references import references_of
 from mpdt.data.store.seal import check_tree
@@ -59,18 +59,20 @@ def open_dataset(path: Path | str, preload: bool = False) -> Dataset:
 
 
 def open_tta_rewards(
-    path: Path | str, name: str, checked: bool = True
+    data: Dataset | Path | str, name: str, checked: bool = True
 ) -> tuple[tables.Float32, tables.Bool | None]:
     """What the simulator said about a TTA set: rewards (N,), successes (N,) or None.
 
     The published zero-shot protocol does not read them; `verify` and protocols that say so do.
 
     Args:
+        data: an open file, which is read on even if another one has its path by now, or a path.
         checked: False for `verify`, as in `read_file`.
     Raises: as `open_dataset`; UsageError for an unknown set.
     """
-    path = Path(path)
-    with opened(path) as file:
+    source = data.source if isinstance(data, Dataset) else None
+    path = data.path if isinstance(data, Dataset) else Path(data)
+    with opened(path, source=source) as file:
         tree, group, sizes = file.tree, f"tta/{name}", dict[str, int]()
         if name not in (sets := tree.names("tta")):
             raise unknown_name("TTA set", name, sets, where=str(path))
@@ -93,7 +95,7 @@ def read_file(
             and numbers of axes are as the format says, and nothing else is known.
     """
     with opened(path, unfinished) as file:
-        dataset = _read(file.tree, path, _Arrays(file.stream, preload), checked)
+        dataset = _read(file, path, _Arrays(file.stream, preload), checked)
         if checked and not unfinished:  # last: what is wrong can be said more clearly before
             check_tree(file.tree, path)
     return dataset
@@ -140,8 +142,8 @@ def _columns(
     return values
 
 
-def _read(tree: Tree, path: Path, arrays: _Arrays, checked: bool = True) -> Dataset:
-    where, sizes = str(path), dict[str, int]()
+def _read(file: Opened, path: Path, arrays: _Arrays, checked: bool = True) -> Dataset:
+    tree, where, sizes = file.tree, str(path), dict[str, int]()
     found: dict[str, dict[str, Array]] = {}
     for name, columns in layout.GROUPS.items():
         if name not in tree.groups:
@@ -154,7 +156,7 @@ def _read(tree: Tree, path: Path, arrays: _Arrays, checked: bool = True) -> Data
     policies = _columns(found["policies"], layout.POLICIES)
     slices = {name: _slice_ids(array, where) for name, array in tree.below("slices").items()}
     dataset = Dataset(
-        path=path, family=family,
+        path=path, source=Source(path, file.stream), family=family,
         name=tree.text("", "name"),
         version=tree.text("", "version"),
         license=tree.text("", "license"),

@@ -158,8 +158,8 @@ class Material:
 
 def read_material(path: Path, dataset: Dataset) -> Material:
     """The rest of an unchecked file. Raises: as `reader.open_dataset`."""
-    sim = {name: open_tta_rewards(path, name, checked=False) for name in dataset.tta}
-    with opened(path) as file:
+    sim = {name: open_tta_rewards(dataset, name, checked=False) for name in dataset.tta}
+    with opened(path, source=dataset.source) as file:
         parents = {
             name: str(file.tree.text(f"slices/{name}", "parent"))
             for name in file.tree.below("slices")

@@ -130,7 +130,7 @@ class AdaptationSet:
         self.presets = [float(preset[of_task[0]]) for of_task in self.ids]
         self.num_steps = int(self._set.length[np.concatenate(self.ids)].sum())
         if settings.returns == "decrement":
-            rewards, _ = open_tta_rewards(dataset.path, settings.set)
+            rewards, _ = open_tta_rewards(dataset, settings.set)
             self._returns = decreasing_returns(self.source, preset, rewards)
         else:
             self._returns = constant_returns(preset)

@@ -238,7 +238,7 @@ class Candidates:
                           f"unexplained {loss:.5f}")  # fmt: skip
 
         model = fit_reward_model(known, settings.infer, self._seed, on_step)
-        rewards, _ = open_tta_rewards(dataset.path, settings.set)
+        rewards, _ = open_tta_rewards(dataset, settings.set)
         # Demonstrations do not average.
         most = 1 if self._shows else settings.infer.tasks
         return [
