@@ -14,6 +14,7 @@ episode, and older ones do not flag time limits. Source: Fu et al. 2020 (D4RL), 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.data.exchange import foreign, hdf5
+from mpdt.data.exchange.claims import Said, named
 from mpdt.data.exchange.folder import files_below
 from mpdt.data.exchange.foreign import Source, quality_code, quality_name
 from mpdt.data.exchange.incoming import Incoming
@@ -35,6 +37,8 @@ from mpdt.errors import DataError, UsageError
 LOST = "seeds, policies, progress and references"
 
 _NAMES = ("family", "task", "quality")
+_THEIR_NAME = re.compile(r"[a-z0-9]+_(?P<quality>random|medium|expert)-v\d+")
+"""As `halfcheetah_medium-v2`; mixtures such as `medium_expert` have no word here."""
 
 
 # ---- out ----
@@ -46,6 +50,7 @@ def write(selection: Selection, folder: Path) -> None:
         words = (selection.header.family, run.task.name, quality_name(run.quality))
         with h5py.File(folder / f"{'-'.join(words)}.hdf5", "w") as file:
             file.attrs.update(dict(zip(_NAMES, words, strict=True)))
+            file.attrs["license"] = selection.header.license
             _write_run(file, selection, run)
 
 
@@ -94,34 +99,38 @@ class _Bounds:
 def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     """Flat files of one task and quality each.
 
-    Task and quality come from `rules`, or from the attributes that our own exports have. An
-    episode that the file's end cuts off is left out, and that is recorded.
+    Task and quality are those of the attributes and names that our own exports have, and else
+    those of `rules`. An episode that the file's end cuts off is left out, and that is recorded.
 
-    Raises: UsageError, FormatError, DataError, ShapeError naming file and episode.
+    Raises: UsageError, FormatError, DataError, ShapeError naming file and episode; DataError where
+        `rules` say otherwise than the file.
     """
     rules = foreign.given(rules)
     sources, remarks = [], []
     for path in files_below(paths, ".hdf5", ".h5"):
         with hdf5.opened(path) as file:
-            said = {key: str(file.attrs[key]) for key in _NAMES if key in file.attrs}
+            said = Said.of(file.attrs, "its attributes")
             bounds = _bounds(file, rules.horizon, str(path))
-        if said.get("family", rules.family.name) != rules.family.name:
-            raise DataError("a file of another family", where=str(path),
-                            expected=rules.family.name, found=said["family"])  # fmt: skip
-        task = rules.task or said.get("task")
-        if task is None:
+        said = said.and_also(_named(path.stem), str(path)).settled(rules, str(path))
+        if not said.task:
             raise UsageError(f"of which task is {path}?", where="--task")
         notes = {}
         if bounds.left_over:
             notes["incomplete_steps_left_out"] = bounds.left_over
             remarks.append(f"{path}: left out the last {bounds.left_over} steps, an episode "
                            "that the file cuts off")  # fmt: skip
-        quality = quality_code(rules.quality or said.get("quality", "unknown"))
         sources.append(
-            Source(path, rules.family.task(task), quality, partial(_episodes, path, bounds),
-                   notes=notes)
+            Source(path, rules.family.task(said.task), quality_code(said.quality or "unknown"),
+                   partial(_episodes, path, bounds), said.license, notes=notes)
         )  # fmt: skip
     return foreign.incoming(sources, rules, name, remarks)
+
+
+def _named(stem: str) -> Said:
+    """What the name of a file of ours or of D4RL says."""
+    if theirs := _THEIR_NAME.fullmatch(stem):
+        return Said(quality=theirs["quality"], by="its name")
+    return named(stem, "its name")
 
 
 def _bounds(file: h5py.File, horizon: int, where: str) -> _Bounds:

@@ -29,6 +29,7 @@ from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.treatment import RawEpisode, Rules, Treated, treat
 from mpdt.data.spec.tasks import Task
 from mpdt.data.store import provenance
+from mpdt.data.store.licence import combined
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
 from mpdt.disk import sha256
@@ -46,6 +47,7 @@ class Source:
     Args:
         quality: a code of `QUALITY_CODES`, or -1.
         read: its episodes; called twice.
+        license: as the source says it; "" = as the rules do.
         name: what the spec of the new file calls it; "" = the file's own name.
         notes: what else the spec should say about it.
     """
@@ -54,6 +56,7 @@ class Source:
     task: Task
     quality: int
     read: Callable[[], Iterator[RawEpisode]]
+    license: str = ""
     name: str = ""
     notes: Mapping[str, Any] = field(default_factory=dict)
 
@@ -80,6 +83,8 @@ class _Tally:
             "episodes": sum(self.kept),
             **self.source.notes,
         }
+        if self.source.license:
+            found["license"] = self.source.license
         if len(self.kept) != sum(self.kept):
             found["duplicates_left_out"] = len(self.kept) - sum(self.kept)
         if self.clipped_numbers:
@@ -142,7 +147,9 @@ def incoming(
 def _count(source: Source, rules: Rules, seen: set[tuple[int, bytes]]) -> _Tally:
     tally = _Tally(source, [])
     for number, raw in enumerate(source.read()):
-        found = treat(raw, rules, f"{source.path}: episode {number}")
+        where = f"{source.path}: episode {number}"
+        found = treat(raw, rules, where)
+        _check_goal(raw, source.task, where)
         digest = hashlib.sha256(found.observations.tobytes() + found.actions.tobytes()).digest()
         new = (source.task.index, digest) not in seen
         seen.add((source.task.index, digest))
@@ -158,6 +165,17 @@ def _count(source: Source, rules: Rules, seen: set[tuple[int, bytes]]) -> _Tally
     if not tally.kept:
         raise DataError("a file without episodes", where=str(source.path))
     return tally
+
+
+def _check_goal(raw: RawEpisode, task: Task, where: str) -> None:
+    """Raises: DataError for the goal of another task; those of Meta-World differ by episode."""
+    if raw.goal is None or not task.goal:
+        return
+    known = np.array(task.goal)
+    if raw.goal.shape != known.shape or not np.allclose(raw.goal, known, rtol=0, atol=1e-6):
+        raise DataError(f"another goal than that of task {task.name}", where=where,
+                        expected=str(known.tolist()), found=str(raw.goal.tolist()),
+                        hint="name the task of that goal with --task")  # fmt: skip
 
 
 def _episodes(tallies: Sequence[_Tally], rules: Rules) -> Iterator[Episode]:
@@ -192,7 +210,8 @@ def _header(
 
     versions = provenance.packages()
     return FileHeader(
-        family=family.name, name=name, version="0.0.0", license=rules.license,
+        family=family.name, name=name, version="0.0.0",
+        license=combined(tally.source.license or rules.license for tally in tallies),
         spec={
             "name": name,
             "family": family.name,

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -28,12 +27,14 @@ from gymnasium.envs.registration import EnvSpec
 
 from mpdt.data.episode import Episode
 from mpdt.data.exchange import foreign, hdf5
+from mpdt.data.exchange.claims import Said
 from mpdt.data.exchange.folder import files_below
 from mpdt.data.exchange.foreign import Source, quality_code, quality_name
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.manifest import KEY, Manifest
+from mpdt.data.exchange.minari_claims import goal_of, safe, said_in, said_of_episode
 from mpdt.data.exchange.selection import Run, Selection
-from mpdt.data.exchange.treatment import RawEpisode, Rules
+from mpdt.data.exchange.treatment import RawEpisode, Rules, check_length
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.sources import EpisodeSource
 from mpdt.errors import DataError, FormatError, UsageError
@@ -76,7 +77,7 @@ def write(selection: Selection, folder: Path, link: bool = False) -> None:
 def _id(selection: Selection, run: Run) -> str:
     family, major = selection.header.family, selection.header.version.partition(".")[0]
     words = (family, run.task.name, f"{quality_name(run.quality)}-v{major}")
-    return "/".join(["mpdt", *(re.sub(r"[^A-Za-z0-9_-]", "_", word) for word in words)])
+    return "/".join(["mpdt", *map(safe, words)])
 
 
 def _write_episode(
@@ -139,7 +140,7 @@ def _metadata(selection: Selection, run: Run, name: str) -> dict[str, Any]:
         })
         for kind, size in (("observation", data.observation_size), ("action", data.action_size))
     }  # fmt: skip
-    gym_name = re.sub(r"[^A-Za-z0-9_-]", "_", f"{data.family}-{run.task.name}")
+    gym_name = safe(f"{data.family}-{run.task.name}")
     spec = EnvSpec(id=f"mpdt/{gym_name}-v0", entry_point=env["entry_point"], kwargs=env["kwargs"])
     needed = ("mpdt", "mujoco", *(["metaworld"] if family.simulator == "metaworld" else []))
     low, high = run.task.references["random"].mean, run.task.references["expert"].mean
@@ -179,15 +180,18 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     if rules is None and all(KEY in metadata for metadata in found.values()):
         return _read_own(found)
     rules = foreign.given(rules)
-    if rules.task is None:
-        known = ", ".join(task.name for task in rules.family.tasks)
-        raise UsageError("of which task?", where="--task", hint=f"one of: {known}")
-    task, quality = rules.family.task(rules.task), quality_code(rules.quality or "unknown")
-    sources = [
-        Source(folder / _MAIN, task, quality, partial(_episodes, folder, metadata, rules.horizon),
-               str(metadata.get("dataset_id", "")))
-        for folder, metadata in found.items()
-    ]  # fmt: skip
+    sources = []
+    for folder, metadata in found.items():
+        said = said_in(metadata, rules.family, str(folder)).settled(rules, str(folder))
+        if not said.task:
+            known = ", ".join(task.name for task in rules.family.tasks)
+            raise UsageError("of which task?", where="--task", hint=f"one of: {known}")
+        sources.append(
+            Source(folder / _MAIN, rules.family.task(said.task),
+                   quality_code(said.quality or "unknown"),
+                   partial(_episodes, folder, metadata, said, rules), said.license,
+                   str(metadata.get("dataset_id", "")))
+        )  # fmt: skip
     return foreign.incoming(sources, rules, name)
 
 
@@ -207,16 +211,23 @@ def _read_metadata(folder: Path) -> dict[str, Any]:
     return found
 
 
-def _episodes(folder: Path, metadata: dict[str, Any], horizon: int) -> Iterator[RawEpisode]:
+def _episodes(
+    folder: Path, metadata: dict[str, Any], said: Said, rules: Rules
+) -> Iterator[RawEpisode]:
     path = folder / _MAIN
+    rows = (0, rules.horizon + 1)
     with hdf5.opened(path) as file:
         _check_count(file, metadata, path)
         for number in range(metadata["total_episodes"]):
             where = f"{path}: episode {number}"
             group = hdf5.member(file, f"episode_{number}", where)
-            # One row more than allowed is enough to see that there are too many.
-            steps = {name: hdf5.array(group, name, where, (0, horizon + 2)) for name in _STEPS}
-            yield RawEpisode(**steps, successes=_successes(group, where, horizon + 2))
+            said.and_also(said_of_episode(group.attrs, rules), where)
+            hdf5.array(group, "rewards", where, (0, 0))  # is it one, and no larger than its file?
+            if shape := group["rewards"].shape:
+                check_length(shape[0], rules, where)
+            steps = {name: hdf5.array(group, name, where, rows) for name in _STEPS}
+            yield RawEpisode(**steps, successes=_successes(group, where, rows[1]),
+                             goal=goal_of(group.attrs, where))  # fmt: skip
 
 
 def _successes(group: h5py.Group, where: str, rows: int) -> Any:

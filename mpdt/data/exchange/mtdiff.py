@@ -15,15 +15,17 @@ from functools import partial
 from pathlib import Path
 
 from mpdt.data.exchange import foreign
+from mpdt.data.exchange.claims import Said
 from mpdt.data.exchange.folder import files_below
 from mpdt.data.exchange.foreign import Source, quality_code
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.promptdt import raw_episode
 from mpdt.data.exchange.treatment import RawEpisode, Rules
 from mpdt.data.exchange.unpickle import load_object_array
-from mpdt.errors import UsageError
+from mpdt.errors import DataError, UsageError
 
 _NAME = re.compile(r"(?P<task>.+)-v\d_prompt\.npy")
+_VERSION = re.compile(r"-v\d$")
 
 
 def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
@@ -41,15 +43,24 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     sources, remarks = [], []
     for path in files_below(paths, ".npy"):
         match = _NAME.fullmatch(path.name)
-        task = rules.task or (match["task"] if match else "")
-        if task in known:
-            sources.append(Source(path, known[task], quality, partial(_episodes, path)))
-        else:
-            reason = f"no task of {rules.family.name}" if match else "not <task>-v2_prompt.npy"
-            remarks.append(f"skipped {path}: {reason}")
+        named = match["task"] if match else ""
+        if named and named not in known and rules.task is None:
+            remarks.append(f"skipped {path}: no task of {rules.family.name}")
+            continue
+        task = Said(task=named, by="its name").settled(rules, str(path)).task
+        if not task:
+            remarks.append(f"skipped {path}: not <task>-v2_prompt.npy")
+            continue
+        sources.append(Source(path, known[task], quality, partial(_episodes, path, task)))
     return foreign.incoming(sources, rules, name, remarks)
 
 
-def _episodes(path: Path) -> Iterator[RawEpisode]:
+def _episodes(path: Path, task: str) -> Iterator[RawEpisode]:
     for number, episode in enumerate(load_object_array(path)):
-        yield raw_episode(episode, None, f"{path}: episode {number}")
+        where = f"{path}: episode {number}"
+        found = raw_episode(episode, None, where)
+        # Each dict says its task too.
+        if isinstance(said := episode.get("task"), str) and _VERSION.sub("", said) != task:
+            raise DataError("an episode of another task than its file", where=where,
+                            expected=task, found=said)  # fmt: skip
+        yield found

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.episode import Episode
 from mpdt.data.exchange import foreign
+from mpdt.data.exchange.claims import Said
 from mpdt.data.exchange.folder import files_below
 from mpdt.data.exchange.foreign import Source, quality_code, quality_name
 from mpdt.data.exchange.incoming import Incoming
@@ -32,10 +33,10 @@ from mpdt.data.exchange.pickle_machine import kind_of
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.exchange.treatment import RawEpisode, Rules, joined
 from mpdt.data.exchange.unpickle import load_pickle
-from mpdt.data.spec.tasks import Family, Task
-from mpdt.errors import DataError, FormatError, ShapeError, quoted
+from mpdt.data.spec.tasks import FAMILIES, Family
+from mpdt.errors import DataError, FormatError, ShapeError
 
-LOST = "seeds, policies, success, and which end was a time limit"
+LOST = "seeds, policies, success, licence, and which end was a time limit"
 NUM_PROMPTS = 5
 
 _DATA = re.compile(
@@ -65,27 +66,39 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
         if match is None:
             remarks.append(f"skipped {path}: not named <env>-<i>-<quality>.pkl")
             continue
-        task = _task(path, match["env"], int(match["index"]), rules)
-        code = quality_code(rules.quality or match["quality"])
+        said = _said(path, match["env"], int(match["index"]), match["quality"], rules.family)
+        said = said.and_also(_folder(path), str(path)).settled(rules, str(path))
+        if not said.task:
+            raise DataError("a file of another family", where=str(path), expected=rules.family.name,
+                            found=match["env"], hint="--task to say what it is")  # fmt: skip
+        task, code = rules.family.task(said.task), quality_code(said.quality or "unknown")
         goal = goals.get(task.index)
         sources.append(Source(path, task, code, partial(_episodes, path, goal)))
     return foreign.incoming(sources, rules, name, remarks)
 
 
-def _task(path: Path, env: str, index: int, rules: Rules) -> Task:
-    family = rules.family
-    if rules.task is not None:
-        return family.task(rules.task)
-    if (single := _ML1.fullmatch(env)) and family.robot == "sawyer":
-        return family.task(single["task"])  # fifty goals of one task
-    if env != family.name:
-        raise DataError("a file of another family", where=str(path), expected=family.name,
-                        found=env,
-                        hint=f"--family {quoted(env)}, or --task to say what it is")  # fmt: skip
-    if index >= len(family.tasks):
-        raise DataError(f"no task {index} in {family.name}", where=str(path),
+def _said(path: Path, env: str, index: int, quality: str, family: Family) -> Said:
+    """What the name says. A name of no family and no task of ours says nothing of either.
+
+    Raises: DataError for an index that the family does not have.
+    """
+    by = "its name"
+    if single := _ML1.fullmatch(env):  # fifty goals of one task
+        known = family.robot == "sawyer" and single["task"] in {t.name for t in family.tasks}
+        return Said("" if known else env, single["task"], quality, by=by)
+    if env not in FAMILIES:
+        return Said(quality=quality, by=by)
+    if env == family.name and index >= len(family.tasks):
+        raise DataError(f"no task {index} in {env}", where=str(path),
                         expected=f"0 to {len(family.tasks) - 1}")  # fmt: skip
-    return family.tasks[index]
+    task = family.tasks[index].name if env == family.name else ""
+    return Said(env, task, quality, by=by)
+
+
+def _folder(path: Path) -> Said:
+    """What the folder `data/<env>` says."""
+    env, above = path.absolute().parts[-2], path.absolute().parts[-3:-2]
+    return Said(env, by="its folder") if env in FAMILIES and above == ("data",) else Said()
 
 
 def _goals(files: Sequence[Path], family: Family) -> dict[int, NDArray[np.float64]]:

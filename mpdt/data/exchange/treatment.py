@@ -26,7 +26,7 @@ class Rules:
 
     Args:
         horizon: steps after which the simulator cut an episode off.
-        task, quality: of all episodes, where the files do not say; quality wins over theirs.
+        task, quality, license: of all episodes, where the files do not say; see `claims.py`.
         clip_actions: bring actions inside the bounds, as the simulator did, instead of
             refusing them.
         hide_goal: set the columns to 0 in which this family hides the goal.
@@ -101,10 +101,7 @@ def treat(raw: RawEpisode, rules: Rules, where: str) -> Treated:
     family = rules.family
     rewards = _numbers("rewards", raw.rewards, where).reshape(-1)
     length = len(rewards)
-    if not 1 <= length <= rules.horizon:
-        raise DataError("an episode of the wrong length", where=where,
-                        expected=f"1 to {rules.horizon} steps", found=str(length),
-                        hint=f"if it is whole: --horizon {quoted(length)}")  # fmt: skip
+    check_length(length, rules, where)
     observations = _matrix("observations", raw.observations, length + 1,
                            family.observation_size, family, where)  # fmt: skip
     actions = _matrix("actions", raw.actions, length, family.action_size, family, where)
@@ -125,11 +122,20 @@ def treat(raw: RawEpisode, rules: Rules, where: str) -> Treated:
     )  # fmt: skip
 
 
-def joined(observations: Any, next_observations: Any, where: str) -> Any:
-    """T observations and the T that followed them as T+1 rows.
+def check_length(length: int, rules: Rules, where: str) -> None:
+    """Raises: DataError for an episode without a step, or with more than the time limit."""
+    if not 1 <= length <= rules.horizon:
+        raise DataError("an episode of the wrong length", where=where,
+                        expected=f"1 to {rules.horizon} steps", found=str(length),
+                        hint=f"if it is whole: --horizon {quoted(length)}" if length else ""
+                        )  # fmt: skip
 
-    Raises: ShapeError unless both are matrices of one shape; DataError where row t+1 of one is
-        not row t of the other: steps are missing, or two episodes were joined.
+
+def joined(observations: Any, next_observations: Any, where: str) -> Any:
+    """T observations and the T that followed them as T+1 rows, in float32 as they are stored.
+
+    Raises: ShapeError unless both are matrices of one shape; DataError for NaN, and where row t+1
+        of one is not row t of the other: steps are missing, or two episodes were joined.
     """
     for name, array in (("observations", observations), ("next_observations", next_observations)):
         if not isinstance(array, np.ndarray) or array.ndim != 2 or not len(array):
@@ -139,20 +145,24 @@ def joined(observations: Any, next_observations: Any, where: str) -> Any:
         raise ShapeError("observations and next_observations disagree", where=where,
                          expected=str(observations.shape),
                          found=str(next_observations.shape))  # fmt: skip
-    wrong = np.flatnonzero((observations[1:] != next_observations[:-1]).any(axis=1))
+    before = _numbers("observations", observations, where)
+    after = _numbers("next_observations", next_observations, where)
+    wrong = np.flatnonzero((before[1:] != after[:-1]).any(axis=1))
     if len(wrong):
         step = int(wrong[0])
         raise DataError(f"the step after step {step} starts elsewhere", where=where,
                         expected="observations[t+1] = next_observations[t]",
                         found=f"{len(wrong)} steps where it is not")  # fmt: skip
-    return np.concatenate([observations, next_observations[-1:]])
+    return np.concatenate([before, after[-1:]])
 
 
 def _numbers(name: str, array: Any, where: str) -> NDArray[np.float32]:
     if not isinstance(array, np.ndarray) or array.dtype.kind != "f":
         raise ShapeError(f"wrong {name}", where=where, expected="an array of floats",
                          found=kind_of(array))  # fmt: skip
-    if name == "rewards" and array.shape not in ((len(array),), (len(array), 1)):
+    if name == "rewards" and (
+        array.ndim == 0 or array.shape not in ((len(array),), (len(array), 1))
+    ):
         raise ShapeError("wrong rewards", where=where, expected="(T,) or (T, 1)",
                          found=str(array.shape))  # fmt: skip
     with np.errstate(over="ignore"):  # what float32 cannot hold is refused with the infinities

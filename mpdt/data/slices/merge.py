@@ -17,11 +17,13 @@ from typing import Any
 
 from mpdt.data.episode import Episode, PolicyInfo
 from mpdt.data.slices.cut import refuse_to_replace
+from mpdt.data.slices.merge_claims import imports, statements
 from mpdt.data.slices.merge_tta import merged_tta
 from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.inherit import header_of, lineage_step, task_rows
+from mpdt.data.store.licence import combined
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
@@ -53,9 +55,10 @@ class _Place:
 def merge(sources: Sequence[Dataset], target: Path) -> Merged:
     """Write all episodes of `sources` to `target` and open it.
 
-    Name, version, license and package versions are those of the first source; the spec gains the
-    others' tasks and the larger number of episodes. `parent` is the common parent of cut-outs of
-    one file, with ids of that file as `source`; else the first source. The lineage names all.
+    Name, version and package versions are those of the first source; the licence asks for what
+    any source asks for; the spec gains the others' tasks, files and the larger number of episodes.
+    `parent` is the common parent of cut-outs of one file, with ids of that file as `source`; else
+    the first source. The lineage names all, and what each said where they did not say the same.
     Slices are the standard ones; statistics are computed anew.
 
     Raises: UsageError for fewer than two sources; DataError where families, seeds or bytes
@@ -167,8 +170,11 @@ def _header(sources: Sequence[Dataset]) -> FileHeader:
     step = lineage_step({"verb": "merge"}, *sources)
     if any(source.lineage for source in sources):
         step |= {"before": [[dict(old) for old in source.lineage] for source in sources]}
+    if said := statements(sources):
+        step |= {"sources": said}
     return replace(
         header_of(first),
+        license=combined(source.license for source in sources),
         spec=_spec(sources),
         tasks=[tasks[index] for index in sorted(tasks)],
         policies=sorted(policies.values(), key=lambda policy: policy.task),
@@ -191,6 +197,10 @@ def _spec(sources: Sequence[Dataset]) -> Mapping[str, Any]:
             }
         if isinstance(sets := spec.get("tta"), Mapping):
             merged["tta"] = dict(sets) | dict(merged.get("tta", {}))
+    if "license" in merged:
+        merged["license"] = combined(source.license for source in sources)
+    if (found := imports(sources)) is not None:
+        merged["import"] = found
     return merged
 
 

@@ -38,7 +38,7 @@ class Import(Options):
     task: Annotated[str | None, arg(metavar="NAME")] = None
     """Task of all episodes, where the sources do not say."""
     quality: Annotated[str | None, arg(metavar="Q")] = None
-    """Quality of all episodes, whatever the sources say."""
+    """Quality of all episodes, where the sources do not say; unknown takes back what they say."""
     horizon: Annotated[int | None, arg(metavar="STEPS")] = None
     """Time limit of the episodes; default: the family's."""
     clip_actions: bool = False
@@ -46,7 +46,7 @@ class Import(Options):
     hide_goal: bool = False
     """Set the columns to 0 in which the family hides the goal."""
     license: Annotated[str, arg(metavar="SPDX")] = "NOASSERTION"
-    """Licence of the sources."""
+    """Licence of the sources, where they do not say."""
 
     def run(self) -> None:
         from mpdt.data.exchange import formats, incoming
@@ -73,12 +73,14 @@ class Import(Options):
         from mpdt.data.exchange.foreign import quality_code
         from mpdt.data.exchange.treatment import Rules
         from mpdt.data.spec.tasks import get_family
+        from mpdt.data.store.licence import UNKNOWN
         from mpdt.errors import UsageError
 
         if self.quality is not None:
             quality_code(self.quality)
         if self.family is None:
-            if self.task or self.quality or self.horizon or self.clip_actions or self.hide_goal:
+            told = (self.task, self.quality, self.horizon, self.clip_actions, self.hide_goal)
+            if any(told) or self.license != UNKNOWN:
                 raise UsageError("options for foreign data need a family", where="--family",
                                  hint="name it, or leave them out: our own exports know all "
                                       "that")  # fmt: skip

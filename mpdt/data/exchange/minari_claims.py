@@ -1,0 +1,98 @@
+"""What a Minari set says of its episodes, ours or another's.
+
+dataset_id     mpdt/<family>/<task>/<quality>-v<major>       another's: its last word, <quality>
+env_spec       arguments family and task of our environments, env_name of Meta-World's
+mpdt           the manifest of our exports: family and licence
+options/task, options/quality, options/goal                  of each of our episodes
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from mpdt.data.episode import QUALITY_CODES
+from mpdt.data.exchange.claims import Said
+from mpdt.data.exchange.manifest import KEY
+from mpdt.data.exchange.treatment import Rules
+from mpdt.data.spec.tasks import FAMILIES, Family
+from mpdt.errors import FormatError
+
+_VERSION = re.compile(r"-v\d+$")
+
+
+def safe(word: str) -> str:
+    """As a part of an id: Minari allows few characters there."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", word)
+
+
+def said_in(metadata: Mapping[str, Any], family: Family, where: str) -> Said:
+    """What the metadata of a set say, each part as far as it can be read.
+
+    Raises: DataError where two parts contradict each other.
+    """
+    found = _in_id(metadata.get("dataset_id"))
+    for other in (_in_env(metadata.get("env_spec"), family), _in_manifest(metadata.get(KEY))):
+        found = found.and_also(other, where)
+    return found
+
+
+def said_of_episode(attributes: h5py.AttributeManager, rules: Rules) -> Said:
+    """What the attributes of one episode say, but for a quality that is taken back."""
+    told = ("task",) if rules.quality == "unknown" else ("task", "quality")
+    values = {key: attributes.get(f"options/{key}") for key in told}
+    return Said.of(values, "its options")
+
+
+def goal_of(attributes: h5py.AttributeManager, where: str) -> NDArray[np.float64] | None:
+    """The goal of one of our episodes; None where none is told. Raises: FormatError."""
+    if (value := attributes.get("options/goal")) is None:
+        return None
+    goal = np.asarray(value)
+    if goal.dtype.kind not in "fiu" or goal.ndim != 1 or not np.isfinite(goal).all():
+        raise FormatError("a goal that is none", where=where, expected="finite numbers",
+                          found=f"{goal.dtype} of shape {goal.shape}")  # fmt: skip
+    return goal.astype(np.float64)
+
+
+def _in_id(name: Any) -> Said:
+    words = name.split("/") if isinstance(name, str) else []
+    quality = _VERSION.sub("", words[-1]) if words else ""
+    if quality not in QUALITY_CODES:
+        quality = ""
+    if len(words) != 4 or words[0] != "mpdt" or words[1] not in FAMILIES:
+        return Said(quality=quality, by="its dataset_id")
+    tasks = {safe(task.name): task.name for task in FAMILIES[words[1]].tasks}
+    return Said(words[1], tasks.get(words[2], words[2]), quality, by="its dataset_id")
+
+
+def _in_env(text: Any, family: Family) -> Said:
+    try:
+        arguments = json.loads(text)["kwargs"]
+    except (TypeError, ValueError, KeyError, RecursionError):
+        return Said()
+    if not isinstance(arguments, Mapping):
+        return Said()
+    if arguments.get("family") in FAMILIES:
+        found = Said.of({key: arguments.get(key) for key in ("family", "task")}, "its env_spec")
+        return found
+    env = arguments.get("env_name")
+    task = _VERSION.sub("", env) if isinstance(env, str) else ""
+    known = family.robot == "sawyer" and task in {one.name for one in family.tasks}
+    return Said(task=task, by="its env_spec") if known else Said()
+
+
+def _in_manifest(text: Any) -> Said:
+    try:
+        header = json.loads(text)["header"]
+    except (TypeError, ValueError, KeyError, RecursionError):
+        return Said()
+    if not isinstance(header, Mapping):
+        return Said()
+    return Said.of({key: header.get(key) for key in ("family", "license")}, "its manifest")
