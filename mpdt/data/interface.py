@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import SupportsIndex
 
 import msgspec
 
@@ -76,7 +77,7 @@ def windows(
     window: int = _SETTINGS.window,
     per_task: int = _SETTINGS.per_task,
     seed: int = 0,
-    tasks: Sequence[str | int] = (),
+    tasks: Sequence[str | SupportsIndex] = (),
     quality: str | Sequence[str] | None = None,
 ) -> WindowSampler:
     """Batches of windows as a function of (seed, step): `windows(...).batch(step)`.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import index
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 
@@ -30,7 +31,8 @@ from mpdt.errors import UsageError, unknown_name
 class Dataset:
     """Everything a training run may read of a file. Holds no HDF5 object.
 
-    It keeps its data when the path is replaced, and may be used after a fork.
+    It keeps its data when the path is replaced, and may be used after a fork. A pickle of it holds
+    the path and what is in the file, and maps the file again where it is loaded.
 
     Args:
         source: the file itself, which is read on even if another one has its path by now.
@@ -67,6 +69,8 @@ class Dataset:
     stats_info: Stats | None = field(repr=False)
     tta: Mapping[str, TtaSet] = field(repr=False)
     lineage: Sequence[Mapping[str, Any]] = field(default=(), repr=False)
+    seal: str = field(default="", repr=False)
+    """Of all that the content hash does not cover."""
 
     @property
     def stats(self) -> Mapping[str, Mapping[str, Float64]]:
@@ -95,24 +99,31 @@ class Dataset:
             self.steps.successes is not None,
         )  # fmt: skip
 
-    def task_row(self, name_or_row: str | int) -> int:
+    def __reduce__(self) -> tuple[Any, ...]:
+        from mpdt.data.store.reader import open_again
+
+        is_mapped = isinstance(self.steps.observations, np.memmap)
+        return open_again, (self.source.path, self.content_hash, self.seal, not is_mapped)
+
+    def task_row(self, name_or_row: str | SupportsIndex) -> int:
         """Row of the task table.
 
-        Raises: UsageError naming the nearest task of the file.
+        Raises: UsageError naming the nearest task of the file; TypeError for what is neither a
+            name nor a whole number.
         """
         if isinstance(name_or_row, str):
             if name_or_row in self.tasks.names:
                 return self.tasks.names.index(name_or_row)
-        elif 0 <= name_or_row < len(self.tasks):
-            return int(name_or_row)
+        elif 0 <= (row := index(name_or_row)) < len(self.tasks):
+            return row
         raise unknown_name("task", str(name_or_row), self.tasks.names, where=str(self.path))
 
-    def episode(self, episode_id: int) -> Episode:
+    def episode(self, episode_id: SupportsIndex) -> Episode:
         """One episode; its arrays are views of the file.
 
         Raises: UsageError for an id outside the file.
         """
-        columns, i = self.episodes, int(episode_id)
+        columns, i = self.episodes, index(episode_id)
         if not 0 <= i < len(columns):
             raise UsageError(f"no episode {i}", where=str(self.path),
                              expected=f"0 to {len(columns) - 1}")  # fmt: skip
@@ -146,7 +157,7 @@ class Dataset:
 
     def select(
         self,
-        task: str | int | Sequence[str | int] | None = None,
+        task: str | SupportsIndex | Iterable[str | SupportsIndex] | None = None,
         quality: str | Sequence[str] | None = None,
         slice: str | None = None,
     ) -> Int64:
@@ -164,8 +175,7 @@ class Dataset:
                 raise unknown_name("slice", slice, self.slices, where=str(self.path))
             ids = self.slices[slice]
         if task is not None:
-            several = [task] if isinstance(task, str | int) else list(task)
-            rows = [self.task_row(one) for one in several]
+            rows = [self.task_row(one) for one in _several(task)]
             ids = ids[np.isin(self.episodes.task[ids], rows)]
         if quality is not None:
             names = [quality] if isinstance(quality, str) else list(quality)
@@ -176,3 +186,13 @@ class Dataset:
             codes = [known[name] for name in names]
             ids = ids[np.isin(self.episodes.quality[ids], codes)]
         return ids
+
+
+def _several(task: str | SupportsIndex | Iterable[Any]) -> list[Any]:
+    """One or several, as several; an array of one number is a list, a number of numpy is not."""
+    if isinstance(task, str):
+        return [task]
+    try:
+        return [index(task)]  # type: ignore[arg-type]
+    except TypeError:
+        return list(task)  # type: ignore[arg-type]

@@ -21,10 +21,11 @@ from mpdt.data.store.integrity import check_names, check_tables
 from mpdt.data.store.opening import Opened, Source, opened
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.references import references_of
-from mpdt.data.store.seal import check_tree
+from mpdt.data.store.seal import ATTRIBUTE, check_tree
 from mpdt.data.store.tree import Array, Tree
 from mpdt.errors import (
     FormatError,
+    StorageError,
     UsageError,
     unknown_name,
 )
@@ -56,6 +57,20 @@ def open_dataset(path: Path | str, preload: bool = False) -> Dataset:
         StorageError where the system refuses to open it.
     """
     return read_file(Path(path), preload=preload)
+
+
+def open_again(path: Path, content_hash: str, seal: str, preload: bool) -> Dataset:
+    """A dataset that came from another process.
+
+    Raises: as `open_dataset`; StorageError if another file has the path by now.
+    """
+    dataset = open_dataset(path, preload)
+    if (dataset.content_hash, dataset.seal) != (content_hash, seal):
+        raise StorageError("another file took its place since it was opened", where=str(path),
+                           expected=f"content {content_hash[:8]}, seal {seal[:8]}",
+                           found=f"{dataset.content_hash[:8]}, {dataset.seal[:8]}",
+                           hint="open the one that is there")  # fmt: skip
+    return dataset
 
 
 def open_tta_rewards(
@@ -156,7 +171,7 @@ def _read(file: Opened, path: Path, arrays: _Arrays, checked: bool = True) -> Da
     policies = _columns(found["policies"], layout.POLICIES)
     slices = {name: _slice_ids(array, where) for name, array in tree.below("slices").items()}
     dataset = Dataset(
-        path=path, source=Source(path, file.stream), family=family,
+        path=path, source=Source(path.absolute(), file.stream), family=family,
         name=tree.text("", "name"),
         version=tree.text("", "version"),
         license=tree.text("", "license"),
@@ -165,6 +180,8 @@ def _read(file: Opened, path: Path, arrays: _Arrays, checked: bool = True) -> Da
         content_hash=tree.text("", "content_hash"),
         parent=tree.text("", "parent"),
         lineage=_read_lineage(tree),
+        # The writer reads its file back before it is sealed; `check_tree` insists on one.
+        seal=str(tree.attributes("").get(ATTRIBUTE, "")),
         packages=tree.json("", "packages"),
         platform=tree.json("", "platform"),
         tasks=_read_tasks(found["tasks"], family),

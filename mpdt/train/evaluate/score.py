@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.reference import Reference, level
 from mpdt.train.evaluate.aggregate import bootstrap
+from mpdt.train.evaluate.sealed import sealed
 
 Block = Literal["train", "test"]
 MEAN = "mean"
@@ -154,10 +155,12 @@ def with_verdicts(scores: Sequence[Score]) -> list[Score]:
 
 
 def encode_results(header: Mapping[str, Any], scores: Sequence[Score]) -> bytes:
-    """results.json: nan becomes null, so that any JSON reader takes it; the unsaid is absent."""
+    """results.json under its digest: nan becomes null, so that any JSON reader takes it; the unsaid
+    is absent."""
     rows = [
         {k: None if v != v else v for k, v in msgspec.structs.asdict(score).items()
          if v is not None or k not in ("beats_trivial", "reads")}
         for score in scores
     ]  # fmt: skip
-    return (json.dumps({**header, "scores": rows}, indent=1, allow_nan=False) + "\n").encode()
+    content = sealed({**header, "scores": rows})
+    return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()

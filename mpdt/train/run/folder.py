@@ -6,6 +6,7 @@ runs/<name>/
   checkpoint-PHASE.safetensors   exact resume, until the phase has all its updates
   teacher.safetensors   teacher prompts with their time table and head
   weights.safetensors   the trained policy, trainables only
+  spent.json            seconds of training, of all processes
   results.json, report.md
   judged/HASH.json      results.json of earlier judgements of these weights, under other settings
 """
@@ -70,12 +71,19 @@ class RunFolder:
         return self.path / "results.json"
 
     @property
+    def spent(self) -> Path:
+        return self.path / "spent.json"
+
+    @property
     def report(self) -> Path:
         return self.path / "report.md"
 
     def judged(self, judging: str) -> Path:
         """Where results of that hash of judging go when others take their place."""
         return self.path / "judged" / f"{judging[:16]}.json"
+
+    def judged_ones(self) -> list[Path]:
+        return sorted((self.path / "judged").glob("*.json"))
 
 
 def locate(runs_dir: Path, name: str) -> RunFolder:

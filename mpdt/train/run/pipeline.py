@@ -29,6 +29,7 @@ from mpdt.train.run.judge import Judge
 from mpdt.train.run.prepare import Prepared
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.results import find_results, results_header, set_aside
+from mpdt.train.run.spent import Spent
 from mpdt.train.run.trainer import Trainer
 
 How = Literal["continue", "restart", "judge"]
@@ -95,8 +96,8 @@ def _train_and_judge(trainer: Trainer) -> dict[str, Any]:
     prepared, folder, progress = trainer.learner.prepared, trainer.folder, trainer.progress
     began_s, name = time.monotonic(), folder.path.name
     trained = trainer.train()
+    trained_s = Spent(folder).training_s
     trainer.group.leave()
-    trained_s = time.monotonic() - began_s
     if not trained.complete:
         progress.say(f"training ended by --time-limit-s: {_updates(trained)}")
     scores = Judge(trained, prepared.config, progress, folder.log).scores()

@@ -13,18 +13,22 @@ import msgspec
 
 from mpdt.errors import FormatError, MissingFileError
 from mpdt.train.evaluate.score import Score
+from mpdt.train.evaluate.sealed import FORMAT, check_digest, read_json
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder
 from mpdt.train.run.prepare import Prepared
 
-FORMAT = "mpdt-results/1"
+_AGAIN = "delete it; the same mpdt-train command judges the run again"
 VERSIONED = ("mpdt", "torch", "transformers", "numpy", "mujoco", "metaworld")
 
 
 class RunHeader(msgspec.Struct, frozen=True):
     """What is looked at of results.json beside its scores; other keys may stand there too."""
 
+    name: str = ""
+    format: str = ""
+    digest: str = ""
     data: dict[str, Any] = {}
     config: dict[str, Any] = {}
     backbone: dict[str, Any] = {}
@@ -75,20 +79,30 @@ def results_header(
 
 
 def read_results(folder: Path) -> dict[str, Any]:
-    """results.json of a run's folder. Raises: MissingFileError, FormatError."""
-    path = folder / "results.json"
-    if not path.exists():
+    """results.json of a run's folder. Raises: as `read_results_file`."""
+    return read_results_file(folder / "results.json")
+
+
+def read_results_file(path: Path) -> dict[str, Any]:
+    """The results of a run, whose parts have their types and which nobody changed.
+
+    Raises: MissingFileError; FormatError; StorageError.
+    """
+    try:
+        results = read_json(path)
+        msgspec.convert(results, RunHeader)
+        scores_in(results)
+    except MissingFileError as error:
         raise MissingFileError(
             "no results here",
             where=str(path),
             hint="a run writes them at its end; the same command continues it",
-        )
-    try:
-        results = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
-        msgspec.convert(results, RunHeader)
-        scores_in(results)
+        ) from error
     except (ValueError, KeyError) as error:
+        if isinstance(error, FormatError):
+            raise
         raise FormatError("not the results of a run", where=str(path), found=str(error)) from error
+    check_digest(results, str(path), _AGAIN)
     return results
 
 

@@ -30,6 +30,7 @@ from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder
 from mpdt.train.run.identity import JUDGING
 from mpdt.train.run.progress import Progress
+from mpdt.train.run.spent import Spent
 from mpdt.train.run.stop import Stopped
 
 
@@ -68,6 +69,12 @@ class Trainer:
             folder.log.cut(int(str(header.settings["metrics_bytes"])))
             self.progress.say(f"trained already: {folder.weights}")
             return learner.trained(learner.asked)
+        with Spent(folder).training():
+            return learner.trained(self._phases(subject, began_s))
+
+    def _phases(self, subject: Subject, began_s: float) -> dict[str, int]:
+        """Phases A and B and their file; the updates done."""
+        learner = self.learner
         steps, teacher = {"teacher": 0, "student": 0}, None
         if self._config.teacher.distillation != "none":
             steps["teacher"] = self._train_teacher(began_s)
@@ -78,8 +85,8 @@ class Trainer:
         if isinstance(learner.prompts, MixedPrompts):
             self._mix(learner.prompts)
         steps["student"] = self._fit("student", subject, began_s, 1.0, teacher)
-        self._save(folder.weights, "mpdt", subject, steps)
-        return learner.trained(steps)
+        self._save(self.folder.weights, "mpdt", subject, steps)
+        return steps
 
     def _mix(self, prompts: MixedPrompts) -> None:
         """The held-out mixtures; a function of data and settings, so a resumed run has the same."""

@@ -14,8 +14,9 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from mpdt.errors import FormatError
+from mpdt.errors import FormatError, StorageError
 from mpdt.train.evaluate.score import MEAN, Score
+from mpdt.train.evaluate.sealed import check_digest, read_json
 from mpdt.train.run.results import scores_in
 
 # Both are made parts of paths.
@@ -69,11 +70,12 @@ def read_cell_files(paths: Iterable[Path]) -> Iterator[tuple[CellFile, dict[str,
 
 def _read(path: Path) -> tuple[CellFile, dict[str, Any]]:
     try:
-        content = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+        content = read_json(path)
         file = msgspec.convert({**content, "scores": scores_in(content)}, CellFile)
-    except (OSError, ValueError, KeyError, RecursionError) as error:
+    except (StorageError, ValueError, KeyError, RecursionError) as error:
         raise FormatError("not the result of a cell", where=str(path), found=str(error),
                           hint=_AGAIN) from error  # fmt: skip
+    check_digest(content, str(path), _AGAIN)
     for (method, block), tasks in file.tasks.items():
         twice = sorted({task for task in tasks if tasks.count(task) > 1})
         what = ""

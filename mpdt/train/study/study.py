@@ -18,7 +18,8 @@ from typing import Any, Literal
 import numpy as np
 
 from mpdt.disk import disk, write_bytes
-from mpdt.errors import MissingFileError, MpdtError
+from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError
+from mpdt.train.evaluate.sealed import check_digest, read_json, sealed
 from mpdt.train.run.config import TrainConfig, from_plain, to_plain
 from mpdt.train.run.folder import locate
 from mpdt.train.run.identity import plain_settings
@@ -78,7 +79,7 @@ def inspect_cell(cell: Cell, places: Places) -> Outcome:
 
 def _look_at(cell: Cell, places: Places) -> tuple[Outcome, Prepared | None]:
     """The outcome, and what a run of the cell would begin with, where there is something."""
-    stored = _read(places.result(cell))
+    stored, damage = _read(places.result(cell))
     try:
         config = configure(cell)
         try:
@@ -93,7 +94,7 @@ def _look_at(cell: Cell, places: Places) -> tuple[Outcome, Prepared | None]:
         return Outcome(cell, "failed", error.message()), None
     if stored is not None and stored.get("identity") == prepared.identity.hashes:
         return Outcome(cell, "done"), prepared
-    note = "" if stored is None else "its result is of other settings or data"
+    note = damage or ("" if stored is None else "its result is of other settings or data")
     return Outcome(cell, "to do", note), prepared
 
 
@@ -145,7 +146,8 @@ def config_hash(plain: Mapping[str, Any]) -> str:
 
 
 def encode_cell(content: Mapping[str, Any]) -> bytes:
-    """JSON with one line per key and one per score: small, and readable as a diff."""
+    """JSON with one line per key and one per score: small, and readable as a diff; its digest."""
+    content = sealed(content)
     lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in content.items()
              if key != "scores"]  # fmt: skip
     scores = ",\n".join(json.dumps(score) for score in content["scores"])
@@ -170,9 +172,13 @@ def _curve(log: Sequence[Mapping[str, Any]]) -> dict[str, list[list[float]]]:
     return {phase: points[::-1][:: every[phase]][::-1] for phase, points in curves.items()}
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+def _read(path: Path) -> tuple[dict[str, Any] | None, str]:
+    """The result of a cell, if there is one; and what is wrong with it otherwise."""
     try:
-        stored: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return stored if isinstance(stored, dict) else None
+        stored = read_json(path)
+        check_digest(stored, str(path), "")
+    except MissingFileError:
+        return None, ""
+    except (FormatError, StorageError) as error:
+        return None, f"its result is damaged: {error.what}"
+    return stored, ""

@@ -62,7 +62,7 @@ def test_verdicts_stand_below_the_table_of_their_block():
     assert [table.notes for table in tables] == [(line,), (), (), ()]
     text = markdown_page({}, tables)
     assert f"|\n\n{line}\n\n## " in text
-    assert rich_tables(tables)[0].caption == line
+    assert str(rich_tables(tables)[0].caption) == line
 
 
 @pytest.mark.parametrize(

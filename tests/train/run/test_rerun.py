@@ -194,7 +194,8 @@ def test_a_time_limit_is_no_end(tiny_file, finished, tmp_path, capsys):
     for name in ("metrics.jsonl", "weights.safetensors", "teacher.safetensors", "report.md"):
         assert (folder / name).read_bytes() == (finished / name).read_bytes(), name
     whole = results_of(finished)
-    assert {**whole, "seconds": 0} == {**results_of(folder), "seconds": 0}
+    apart = {"seconds": 0, "digest": ""}  # time, and what is computed from all
+    assert whole | apart == results_of(folder) | apart
     assert whole["complete"] is True
 
 
@@ -304,3 +305,23 @@ def test_another_family_or_other_episodes_are_named(again, tiny_file, monkeypatc
     error = capsys.readouterr().err
     assert "was trained on other episodes; expected " in error and "found 000000000000" in error
     assert "take the file it was trained on" in error
+
+
+def test_what_training_cost_is_known_to_later_judgements(again):
+    folder, arguments = again
+    assert results_of(folder)["seconds"]["training"] > 0
+    (folder / "spent.json").write_text('{"training_s": 123.4}')
+    assert call(*arguments, "--adapt.steps", 3, "-q") == 0
+    assert results_of(folder)["seconds"]["training"] == 123.4
+    # A run from before this was kept: its first results say it, also once they are set aside.
+    (folder / "spent.json").unlink()
+    assert call(*arguments, "--adapt.steps", 2, "-q") == 0
+    assert results_of(folder)["seconds"]["training"] == 123.4
+
+
+def test_a_stopped_run_adds_up_what_it_cost(tiny_file, tmp_path):
+    arguments = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r", "-q"]
+    assert call(*arguments, "--time-limit-s", "1e-9") == 0
+    (tmp_path / "r/spent.json").write_text('{"training_s": 1000.0}')
+    assert call(*arguments) == 0
+    assert results_of(tmp_path / "r")["seconds"]["training"] > 1000
