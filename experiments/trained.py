@@ -9,7 +9,7 @@ import torch
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.folder import stored_settings
-from mpdt.train.run.load import load_trained
+from mpdt.train.run.stored import load_trained
 
 SEED = 1000  # of evaluation episodes: not those of any table of results
 

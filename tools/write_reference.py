@@ -126,7 +126,7 @@ def api_page() -> str:
     from mpdt.data.slices.sampler import WindowSampler
     from mpdt.data.slices.windows import WindowBatch
     from mpdt.data.store.dataset import Dataset
-    from mpdt.train.run.load import ActingPolicy
+    from mpdt.train.bundle.acting import ActingPolicy
 
     parts = [f"# Python interface\n\n{WRITTEN}\n\n"
              "```python\nimport mpdt\n```\n\nFour functions, and what they return. Everything else "

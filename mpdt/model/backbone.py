@@ -67,21 +67,27 @@ class Backbone(nn.Module):
         dtype: what the blocks compute in; inputs and outputs are float32 all the same.
     """
 
-    def __init__(self, name: str, model: Any, dtype: torch.dtype, frozen: bool = True) -> None:
+    def __init__(
+        self, name: str, model: Any, dtype: torch.dtype, frozen: bool = True,
+        whole: str | None = None,
+    ) -> None:  # fmt: skip
+        """`whole` is the fingerprint of the model that this one is a part of (`light.py`)."""
         super().__init__()
         self.name = name
-        self.fingerprint = fingerprint(model)
+        self.fingerprint = whole or fingerprint(model)
         self.frozen = frozen
         self.dtype = dtype
         # Parameters only: the rotary frequencies are buffers and lose their meaning in bfloat16.
         for parameter in model.parameters():
             parameter.data = parameter.data.to(dtype)
             parameter.requires_grad_(not frozen)
-        # Nothing looks words up here, so the table never gets a gradient.
-        model.get_input_embeddings().weight.requires_grad_(False)
-        # Written-out attention: at some 50 keys it is 1.4 times faster through forward and
-        # backward in bfloat16 than the fused kernel, and as fast in float32.
-        model.set_attn_implementation("eager")
+        words = model.get_input_embeddings()
+        if words is not None:
+            # Nothing looks words up here, so the table never gets a gradient.
+            words.weight.requires_grad_(False)
+            # Written-out attention: at some 50 keys it is 1.4 times faster through forward and
+            # backward in bfloat16 than the fused kernel, and as fast in float32.
+            model.set_attn_implementation("eager")
         self.model = model
         self.width = int(model.config.hidden_size)
         self.num_layers = int(model.config.num_hidden_layers)
@@ -100,8 +106,9 @@ class Backbone(nn.Module):
 
     @property
     def word_embeddings(self) -> Tensor:
-        """The pretrained embedding table (V, s), float32, detached."""
-        table: Tensor = self.model.get_input_embeddings().weight
+        """The pretrained embedding table (V, s), float32, detached; V = 0 where it was left out."""
+        words = self.model.get_input_embeddings()
+        table: Tensor = torch.zeros(0, self.width) if words is None else words.weight
         return table.detach().to(torch.float32)
 
     @property

@@ -8,6 +8,7 @@ step.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mpdt.errors import ShapeError, SpecError
-from mpdt.model.moving_window import MovingWindow
+from mpdt.model.moving_window import MovingWindow, prompt_prefix
 from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.returns import ReturnTable
 
@@ -90,12 +91,10 @@ class ClosedLoop:
         self._asked = self._step_tokens // 2 + 1
         most = context * self._step_tokens - (self._step_tokens - self._asked)
         with torch.no_grad():
-            prefix = policy.backbone.encode_prefix(None)
-            if prompts is not None:  # those that somebody stands behind, each once
-                own, place = torch.unique(prompt_index, return_inverse=True)
-                few = -(-_LEAST_ROWS // max(prompts.shape[1], 1))
-                prefix = policy.backbone.encode_prefix(prompts[own[_filled(len(own), few)]])
-                prefix = prefix.select(place)
+            # Those that somebody stands behind, each once.
+            own, place = torch.unique(prompt_index, return_inverse=True)
+            used = None if prompts is None else prompts[own]
+            prefix = prompt_prefix(policy.backbone, used).select(place)
         self._window = MovingWindow(policy.backbone, prefix, len(self._rows), most)
         self.reset()
 
@@ -112,6 +111,17 @@ class ClosedLoop:
         self._targets: Array = np.asarray(targets, dtype=np.float64)[self._rows]
         self._return_to_go = self._targets
         self._last: _Step | None = None
+
+    def ask(self, targets: Array) -> None:
+        """Raw returns (B,) to be asked of the episodes that begin from now on."""
+        self._check(targets, (self.num_rows,), "targets")
+        self._targets = np.asarray(targets, dtype=np.float64)[self._rows]
+
+    def fork(self) -> ClosedLoop:
+        """Another loop with the same histories; neither knows what the other does from now on."""
+        other = copy.copy(self)
+        other._window = self._window.fork()
+        return other
 
     def act(
         self,

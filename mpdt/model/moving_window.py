@@ -15,6 +15,8 @@ block a token has seen others that have left the window since, so nothing can be
 
 from __future__ import annotations
 
+import copy
+
 import torch
 from torch import Tensor
 
@@ -52,6 +54,12 @@ class MovingWindow:
         self._held[rows] = 0
         for kept in self._kept:
             kept[rows] = 0.0  # masked, but a NaN would get through a weight of 0
+
+    def fork(self) -> MovingWindow:
+        """The same windows once more; what is appended to one the other does not hold."""
+        other = copy.copy(self)
+        other._held, other._kept = self._held.clone(), [kept.clone() for kept in self._kept]
+        return other
 
     def append(self, tokens: Tensor, real: Tensor) -> Tensor:
         """Hidden vectors (B, s) float32 of the newest tokens, after the final norm.
@@ -117,3 +125,36 @@ class MovingWindow:
             for old, one in zip(self._kept, new, strict=True)
         ]
         return self._kept
+
+
+def prompt_prefix(backbone: Backbone, prompts: Tensor | None) -> PrefixCache:
+    """What prompts (n, l, s) leave behind for acting. No gradients.
+
+    Equal to `Backbone.encode_prefix`, in the pieces of `blocks.py`, so that it needs no more of
+    a language model than `light.py` has. One prompt after the other: its keys do not depend on
+    the company it is in, to the bit.
+    """
+    if prompts is None or prompts.shape[1] == 0 or backbone.reads_adapters:
+        return backbone.encode_prefix(prompts)
+    backbone.check_room(prompts.shape[1], 0)
+    each = [_one_prefix(backbone, prompt[None]) for prompt in prompts]
+    keys, values = ([torch.cat(rows) for rows in zip(*side, strict=True)]
+                    for side in zip(*each, strict=True))  # fmt: skip
+    return PrefixCache(tuple(keys), tuple(values), int(prompts.shape[1]))
+
+
+def _one_prefix(backbone: Backbone, prompt: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+    """Keys and values (1, G, l, d) float32 of every block."""
+    shape, length = block_shape(backbone.model), prompt.shape[1]
+    mask = torch.ones(1, length, dtype=torch.bool)
+    positions, visible = positions_of(mask, 0), visible_to(mask, 0)
+    turn, x = shape.turn(positions), shape.enter(prompt.to(backbone.dtype), positions)
+    all_keys, all_values = [], []
+    for block in backbone.blocks():
+        queries, keys, values = shape.project(block, x, newest=False)
+        keys, values = turned(keys, turn), values.to(torch.float32)
+        gathered = attend(turned(queries, turn), keys, values, shape.scaling(block), visible)
+        x = shape.rest(block, x, gathered.to(backbone.dtype))
+        all_keys.append(keys)
+        all_values.append(values)
+    return all_keys, all_values

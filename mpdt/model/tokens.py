@@ -66,7 +66,7 @@ class InputMap(nn.Module):
     """Turns windows into tokens (n, M, K * tokens_per_step, s).
 
     Args:
-        word_embeddings: (V, s) table of the backbone.
+        word_embeddings: (V, s) table of the backbone; V = 0 starts from zeros, to be filled.
         observation_mean, observation_std: (D,) statistics of the *training* tasks.
         seed: for random starts; nothing touches the global generator.
     """
@@ -223,6 +223,8 @@ def word_rows(
 
     The norm is `scale` times the root mean square distance of a word from the mean word.
     """
+    if not len(word_embeddings):
+        return word_embeddings.new_zeros(num, word_embeddings.shape[1]), word_embeddings.sum(dim=0)
     centre = word_embeddings.mean(dim=0)
     size = (word_embeddings - centre).square().sum(dim=1).mean().sqrt()
     if settings.start == "words":

@@ -8,6 +8,7 @@
     mpdt-train settings --preset paper                   every setting and its value
     mpdt-train report runs/ml10-base                     the tables of a finished run
     mpdt-train adapt runs/ml10-base --data ml10.h5 --adapt.starts infer     no training
+    mpdt-train bundle runs/ml10-base -o ml10-policy      a folder that acts anywhere
     mpdt-train study one-block --data-dir data           every method that is not done yet
 
 Results go to stdout, talk to stderr. torch is imported in the bodies, so `--help` is quick.
@@ -33,6 +34,7 @@ from mpdt.pipe import reader_may_leave
 from mpdt.train.options import (
     COMMANDS,
     Adapt,
+    Bundle,
     Command,
     Evaluate,
     Report,
@@ -106,6 +108,8 @@ def execute(command: Command, rest: list[str]) -> int:
 
         sys.stdout.write(settings_text(get_preset(command.preset), command.json))
         return 0
+    if isinstance(command, Bundle):
+        return _bundle(command)
     return _study(command) if isinstance(command, Study) else _report(command)
 
 
@@ -210,6 +214,22 @@ def _report(command: Report) -> int:
         from mpdt.train.report.page import run_content, write_result
 
         write_result(command.html, run_content(results, command.folder))
+    return 0
+
+
+def _bundle(command: Bundle) -> int:
+    from mpdt.train.bundle.card import card_of
+    from mpdt.train.bundle.write import check_free, write_bundle
+    from mpdt.train.run.folder import RunFolder
+    from mpdt.train.run.results import read_results, scores_in
+    from mpdt.train.run.stored import bundle_of_run
+
+    check_free(command.output)
+    scores = scores_in(read_results(command.folder))
+    contents = bundle_of_run(RunFolder(command.folder), command.data, not command.without_backbone)
+    config = write_bundle(command.output, contents, card_of(contents.config, scores))
+    size = sum(file.size for file in config.files.values())
+    sys.stdout.write(f"{command.output}   {size / 1e6:.1f} MB\n")
     return 0
 
 

@@ -131,8 +131,29 @@ class Report:
     """Show tracebacks."""
 
 
-Command = Run | Settings | Evaluate | Study | Report
+@dataclass(frozen=True)
+class Bundle:
+    """Write a run's policy as one folder that acts anywhere: no data, no trainer, no network.
+
+    Every run leaves one in its folder as policy/. From runs older than that it is made anew, for
+    which their data is needed: their test tasks are adapted to again.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    """The run's folder, such as runs/ml10-base."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder to write; nothing may be there."""
+    data: str | None = None
+    """FILE or FILE:slice it was trained on; default: the file of that name, here or beside the
+    folder of runs."""
+    without_backbone: bool = False
+    """Leave the language model's blocks out and name them; loading reads them by name."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+Command = Run | Settings | Evaluate | Study | Report | Bundle
 COMMANDS: dict[str, type[Command]] = {
     "run": Run, "settings": Settings, "adapt": Adapt, "evaluate": Evaluate, "study": Study,
-    "report": Report,
+    "report": Report, "bundle": Bundle,
 }  # fmt: skip

@@ -34,7 +34,7 @@ def finished(tiny_file, tmp_path_factory):
 def test_a_run_leaves_its_files(finished):
     assert {path.name for path in finished.iterdir()} == {
         "config.json", "metrics.jsonl", "teacher.safetensors", "weights.safetensors",
-        "results.json", "report.md", "spent.json",
+        "results.json", "report.md", "spent.json", "policy",
     }  # fmt: skip
     header, tensors = load_weights(finished / "weights.safetensors", kind="mpdt")
     assert {"run", "backbone", "data"} == set(header.hashes)

@@ -45,11 +45,18 @@ DONOR_BATCHES = 4  # of all training tasks, to choose the one whose demonstratio
 
 @dataclass(frozen=True)
 class Candidate:
-    """One row of the table of test tasks."""
+    """One row of the table of test tasks.
 
+    Attributes:
+        name: in one word; a start has its own.
+        prompts: (n, l, s) the trained policy acts behind; None: a network for each task instead.
+    """
+
+    name: str
     label: str
     controller: Actor
     reads: Reads
+    prompts: Tensor | None
 
 
 class Settings(Protocol):
@@ -116,7 +123,7 @@ class Candidates:
                 reads: Reads = "X+rewards" if settings.returns == "decrement" else "X"
                 reads = "X+rewards" if start in INFERRED else reads
                 prompts = self._adapt(start, source)
-                yield Candidate(LABELS[start], self.controller(prompts, self.returns), reads)
+                yield self._candidate(start, LABELS[start], prompts, reads)
         yield from self._few_shot()
         if self._config.few_shot.demonstration:
             yield self._demonstrated()
@@ -124,7 +131,10 @@ class Candidates:
         if self._config.prompts.kind != "decomposed":
             label = "not adapted"
         prompts = self._start(NOT_ADAPTED).task_prompts().detach()
-        yield Candidate(label, self.controller(prompts, self.returns), "nothing")
+        yield self._candidate(NOT_ADAPTED, label, prompts, "nothing")
+
+    def _candidate(self, name: str, label: str, prompts: Tensor, reads: Reads) -> Candidate:
+        return Candidate(name, label, self.controller(prompts, self.returns), reads, prompts)
 
     def own(self) -> PromptController:
         """The training tasks, each behind its own prompt."""
@@ -194,13 +204,16 @@ class Candidates:
                 for i, (policy, prompt) in enumerate(tuned)
             ]
             reads: Reads = "demonstration" if settings.demonstration else "labelled steps"
-            yield Candidate(f"few-shot {quality}", PerTaskController(controllers), reads)
+            shared = settings.tuned == "prompt"
+            yield Candidate(
+                f"few_shot_{quality}", f"few-shot {quality}", PerTaskController(controllers),
+                reads, torch.cat([prompt for _, prompt in tuned]) if shared else None,
+            )  # fmt: skip
 
     def _demonstrated(self) -> Candidate:
         """An expert episode's steps of the test task itself: Prompt-DT's few-shot setting."""
         prompts = self._demonstrations().task_prompts().detach()
-        controller = self.controller(prompts, self.returns)
-        return Candidate("expert demonstration", controller, "demonstration")
+        return self._candidate("demonstration", "expert demonstration", prompts, "demonstration")
 
     def _demonstrations(self) -> DemonstrationPrompts:
         trained = self._trained.prompts

@@ -8,6 +8,7 @@ runs/<name>/
   weights.safetensors   the trained policy, trainables only
   spent.json            seconds of training, of all processes
   results.json, report.md
+  policy/               the bundle: all that acting needs (mpdt/train/bundle)
   judged/HASH.json      results.json of earlier judgements of these weights, under other settings
 """
 
@@ -77,6 +78,10 @@ class RunFolder:
     @property
     def report(self) -> Path:
         return self.path / "report.md"
+
+    @property
+    def policy(self) -> Path:
+        return self.path / "policy"
 
     def judged(self, judging: str) -> Path:
         """Where results of that hash of judging go when others take their place."""

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from mpdt.data.reference import UNKNOWN, Reference
 from mpdt.data.sim.actors import Actor, ConstantPolicy, UniformPolicy, ZeroPolicy
 from mpdt.train.adapt.candidates import Candidates
+from mpdt.train.bundle.contents import ActingPrompts, own_prompts, prompts_of
 from mpdt.train.evaluate.rollout import Evaluation, SimulatorCache, evaluate
 from mpdt.train.evaluate.score import (
     CONSTANT,
@@ -46,6 +47,8 @@ class Judge:
 
     Args:
         log: where adaptation writes; None = nowhere.
+    Attributes:
+        acting: the prompts that `scores` has judged.
     """
 
     trained: Trained
@@ -53,6 +56,7 @@ class Judge:
     progress: Progress
     log: MetricsLog | None = None
     simulators: SimulatorCache = field(default_factory=SimulatorCache)
+    acting: list[ActingPrompts] = field(default_factory=list)
 
     def scores(self) -> list[Score]:
         """All rows of the final table. Raises: Stopped after a signal."""
@@ -61,6 +65,7 @@ class Judge:
         constant = self._constant_action() if config.evaluation.constants else None
         candidates = Candidates(self.trained, config, self.progress.update, self.log)
         scores, references = list[Score](), list[Score]()
+        self.acting = [own_prompts(self.trained)]
         if "train" in blocks:
             own = candidates.own()
             references = self._references("train", material.train_rows, constant)
@@ -77,6 +82,7 @@ class Judge:
         else:
             scores += self._references("test", material.test_rows, constant)
         for candidate in candidates:
+            self.acting.append(prompts_of(candidate, material.test_rows, candidates.returns))
             label = f"{config.method} {candidate.label}"
             scores += self._score(
                 "test", label, material.test_rows, candidate.controller, candidate.reads

@@ -2,7 +2,7 @@
 
 prepared -> train -> weights.safetensors
          -> layer statistics -> adapted prompts of the test tasks
-         -> closed-loop evaluation -> results.json, report.md
+         -> closed-loop evaluation -> results.json, report.md, policy/
 """
 
 from __future__ import annotations
@@ -10,20 +10,25 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import torch
 
 from mpdt.disk import disk, write_bytes
 from mpdt.draw.table import markdown_page
-from mpdt.errors import MissingFileError, UsageError, quoted
+from mpdt.errors import BackboneError, MissingFileError, UsageError, quoted
 from mpdt.model.backbone import from_settings
-from mpdt.train.evaluate.score import encode_results
+from mpdt.train.bundle.card import card_of
+from mpdt.train.bundle.contents import ActingPrompts, contents_of
+from mpdt.train.bundle.write import remove_bundle, write_bundle
+from mpdt.train.evaluate.score import Score, encode_results
 from mpdt.train.evaluate.tables import NORMALISED, build_tables
 from mpdt.train.fit.data import Material
 from mpdt.train.fit.group import Group
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.build import build
+from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder, claimed, inspect
 from mpdt.train.run.judge import Judge
 from mpdt.train.run.prepare import Prepared
@@ -100,7 +105,8 @@ def _train_and_judge(trainer: Trainer) -> dict[str, Any]:
     trainer.group.leave()
     if not trained.complete:
         progress.say(f"training ended by --time-limit-s: {_updates(trained)}")
-    scores = Judge(trained, prepared.config, progress, folder.log).scores()
+    judge = Judge(trained, prepared.config, progress, folder.log)
+    scores = judge.scores()
     seconds = {"training": trained_s, "all": time.monotonic() - began_s}
     header = results_header(name, prepared, trained, seconds)
     content = encode_results(header, scores)
@@ -115,13 +121,31 @@ def _train_and_judge(trainer: Trainer) -> dict[str, Any]:
     # results.json goes first and comes last: it is what marks a run as done.
     with disk(folder.results):
         set_aside(folder)
+    remove_bundle(folder.policy)
     write_bytes(folder.report, markdown_page(facts, build_tables(scores), NORMALISED).encode())
+    _leave_policy(trainer, trained, judge.acting, scores)
     write_bytes(folder.results, content)
     with disk(folder.path):
         folder.judged(prepared.identity.hashes["judging"]).unlink(missing_ok=True)
     progress.say(f"written to {folder.path}")
     results: dict[str, Any] = json.loads(content)
     return results
+
+
+def _leave_policy(
+    trainer: Trainer, trained: Trained, acting: Sequence[ActingPrompts], scores: Sequence[Score]
+) -> None:
+    """The bundle, with the language model's blocks where they can be carried."""
+    prepared, folder = trainer.learner.prepared, trainer.folder
+    facts = (to_plain(prepared.config), folder.path.name, prepared.identity.hashes)
+    try:
+        contents = contents_of(trained, acting, *facts)
+    except BackboneError as error:
+        trainer.progress.say(f"policy/ is without the language model: {error}")
+        if not trained.policy.backbone.frozen:
+            return
+        contents = contents_of(trained, acting, *facts, with_backbone=False)
+    write_bundle(folder.policy, contents, card_of(contents.config, scores))
 
 
 def _updates(trained: Trained) -> str:

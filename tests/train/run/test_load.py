@@ -1,9 +1,8 @@
-"""A loaded policy acts as it was judged: the gymnasium loop against `evaluate`, bit for bit."""
+"""A run from before there were bundles acts as it was judged: the loop against `evaluate`."""
 
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -15,9 +14,9 @@ from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.amend import add_slice
 from mpdt.errors import FormatError, MissingFileError, ShapeError, UsageError
 from mpdt.seeding import Quality, SeedKey
+from mpdt.train.bundle.acting import ActingPolicy
 from mpdt.train.cli import main
 from mpdt.train.evaluate.rollout import evaluate
-from mpdt.train.run.load import ActingPolicy
 
 QUICK = [
     *("--preset", "smoke", "--threads", "1", "--inputs.return-to-go", "task"),
@@ -38,6 +37,7 @@ def finished(tiny_file, tmp_path_factory):
     with pytest.raises(SystemExit) as stopped:
         main([str(word) for word in [*words, "-q"]])
     assert stopped.value.code == 0
+    shutil.rmtree(work / "runs" / "r" / "policy")
     return work / "runs" / "r"
 
 
@@ -63,9 +63,10 @@ def test_the_plain_loop_is_the_evaluation(finished, task, start):
         """Its task's prompt among all."""
 
         def begin(self, rows):
-            policy._controller.begin(replace(rows, tasks=np.array([row.index])))
+            policy.reset([task])
 
-        act = policy._controller.act
+        def act(self, step, observations, rewards=None):
+            return policy.act_batch(observations, rewards)
 
     judged = evaluate(OneRow(), family, [row], {}, HORIZON, 1, seed=5)
     key = SeedKey(5, family.id, row.index, Quality.EVALUATION, 0, 0)

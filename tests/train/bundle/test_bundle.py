@@ -1,0 +1,151 @@
+"""A bundle holds what acting needs and acts as the run was judged; the same run, the same bytes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import mpdt
+from mpdt.data.sim.actors import Rows
+from mpdt.data.spec.tasks import get_family
+from mpdt.errors import UsageError
+from mpdt.train.bundle.read import read_bundle, read_config
+from mpdt.train.evaluate.rollout import evaluate
+
+from .conftest import run
+
+HORIZON, EPISODES = 3, 2
+
+
+class AsActor:
+    """A loaded policy in the place of a judged one; every row says which task it is."""
+
+    def __init__(self, policy, names):
+        self.policy, self.names = policy, names
+
+    def begin(self, rows: Rows):
+        self.policy.reset([self.names[task] for task in rows.tasks])
+
+    def act(self, step, observations, rewards=None):
+        return self.policy.act_batch(observations, rewards)
+
+
+def judged(bundle, start, rows=("forward", "backward")):
+    family = get_family("cheetah_dir")
+    tasks = [family.task(name) for name in rows]
+    actor = AsActor(mpdt.load_policy(bundle, start=start), rows)
+    return evaluate(actor, family, tasks, {}, HORIZON, EPISODES, seed=0)
+
+
+@pytest.mark.parametrize(("start", "block", "method"), [
+    (None, "train", "MPDT"),
+    ("cross", "test", "MPDT from cross, adapted"),
+    ("few_shot_expert", "test", "MPDT few-shot expert"),
+    ("none", "test", "MPDT P_c o mean P_k, not adapted"),
+])  # fmt: skip
+def test_returns_are_those_of_the_results(finished, bundle, start, block, method):
+    scores = json.loads((finished / "results.json").read_text())["scores"]
+    told = {s["task"]: s["mean"] for s in scores if (s["block"], s["method"]) == (block, method)}
+    found = judged(bundle, start)
+    for task, returns in zip(found.tasks, found.returns, strict=True):
+        assert float(returns.mean()) == told[task]
+    alone = judged(bundle, start, ("backward",))
+    assert (alone.returns == found.returns[1:]).all(), "whatever else is in the batch"
+
+
+def test_an_old_run_gives_the_same_bytes(finished, tmp_path):
+    old = shutil.copytree(finished, tmp_path / "runs" / "r")
+    shutil.rmtree(old / "policy")
+    shutil.copy(finished.parent.parent / "tiny.h5", tmp_path)
+    assert run("bundle", old, "-o", tmp_path / "b") == 0
+    assert run("bundle", finished, "-o", tmp_path / "c") == 0
+    for name in ("config.json", "model.safetensors", "README.md"):
+        written = (finished / "policy" / name).read_bytes()
+        assert (tmp_path / "b" / name).read_bytes() == written
+        assert (tmp_path / "c" / name).read_bytes() == written
+    assert run("bundle", finished, "-o", tmp_path / "c") == 1, "nothing is replaced"
+
+
+def test_without_the_language_model(finished, bundle, tmp_path):
+    assert run("bundle", finished, "-o", tmp_path / "small", "--without-backbone") == 0
+    whole, small = ((p / "model.safetensors").stat().st_size for p in (bundle, tmp_path / "small"))
+    assert small < whole
+    observation = np.linspace(-1, 1, 20)
+    for start in (None, "cross"):
+        one, other = (mpdt.load_policy(where, "backward", start=start).act(observation)
+                      for where in (bundle, tmp_path / "small"))  # fmt: skip
+        assert (one == other).all()
+    assert read_config(tmp_path / "small").backbone.shape is None
+
+
+LOADS = """
+import sys, torch
+import mpdt
+policy = mpdt.load_policy(sys.argv[1], task="backward")
+before = torch.get_num_threads()
+policy.act([0.0] * 20)
+policy.act([0.0] * 20, 1.0)
+assert torch.get_num_threads() == before
+print(sorted(set(sys.modules) & {"transformers", "h5py", "mujoco", "gymnasium", "scipy", "fsspec",
+                                 "huggingface_hub", "metaworld", "mpdt.train.fit.loop"}))
+"""
+
+
+def test_loading_needs_neither_data_nor_trainer_nor_the_library(bundle, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", LOADS, str(bundle)], cwd=tmp_path, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_s_folder_acts_from_its_bundle(finished, bundle, tmp_path):
+    """Without data; a start that the run did not try needs them."""
+    moved = shutil.copytree(finished, tmp_path / "far" / "away" / "r")
+    policy = mpdt.load_policy(moved, "forward")
+    observation = np.linspace(-1, 1, 20)
+    expected = mpdt.load_policy(bundle, 0).act(observation)
+    assert (policy.act(observation) == expected).all()
+    with pytest.raises(FileNotFoundError, match="not here"):
+        mpdt.load_policy(moved, "forward", start="cross_mean")
+    with pytest.raises(UsageError, match=r"unknown start 'cros'.*did you mean 'cross'"):
+        mpdt.load_policy(bundle, "forward", start="cros")
+    with pytest.raises(UsageError, match="did you mean 'forward'"):
+        mpdt.load_policy(bundle, "forwards")
+    with pytest.raises(UsageError, match="adapts no more"):
+        mpdt.load_policy(bundle, "forward", start=lambda *_: None)
+
+
+def test_judging_again_replaces_the_bundle(finished, tmp_path):
+    again = shutil.copytree(finished, tmp_path / "runs" / "r")
+    data = finished.parent.parent / "tiny.h5"
+    words = ["--few-shot.qualities", "--adapt.starts", "none", "-q"]
+    assert run("adapt", again, "--data", data, *words) == 0
+    config = read_config(again / "policy")
+    assert [one.name for one in config.prompts] == ["own", "none"]
+    assert sorted(p.name for p in (again / "policy").iterdir()) == [
+        "README.md", "config.json", "model.safetensors",
+    ]  # fmt: skip
+    assert not [path for path in again.iterdir() if path.name.startswith(".")]
+
+
+def test_what_config_says(finished, bundle):
+    config, read = read_config(bundle), read_bundle(bundle)
+    results = json.loads((finished / "results.json").read_text())
+    assert config.format == "mpdt-policy/1"
+    assert config.data.content_hash == results["data"]["content_hash"]
+    assert config.training.identity == results["identity"]
+    assert config.backbone.fingerprint == results["backbone"]["fingerprint"]
+    assert [task.role for task in config.tasks] == ["both", "both"]
+    assert {one.name: one.reads for one in config.prompts} == {
+        "own": None, "cross": "X", "few_shot_expert": "labelled steps", "none": "nothing",
+    }  # fmt: skip
+    assert len(config.statistics.mean) == 20
+    assert set(read.trained) == {"cross", "task_v", "task_u"}
