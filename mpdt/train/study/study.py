@@ -3,7 +3,7 @@
 runs/STUDY/CELL/            the run, resumable like any other
 results/STUDY/CELL.json     its results, small: a run counts as done when this is here and
                             of the same settings and data
-results/STUDY/CELL.prompts.safetensors    P_c and some P_k, to be drawn
+results/STUDY/CELL.prompts.safetensors    P_c and some P_k, to be drawn: one cell per data set
 """
 
 from __future__ import annotations
@@ -60,6 +60,11 @@ class Places:
 
     def prompts(self, cell: Cell) -> Path:
         return self.results / f"{cell.name}{KEPT}"
+
+    def may_keep_prompts(self, cell: Cell) -> bool:
+        """Whether no other cell of that data set has kept its own; one is drawn."""
+        kept = {path.name for path in self.results.glob(f"{cell.data}.*{KEPT}")}
+        return kept <= {self.prompts(cell).name}
 
 
 def configure(cell: Cell) -> TrainConfig:
@@ -135,7 +140,8 @@ def _run_cell(
     }
     with disk(places.results):
         places.results.mkdir(parents=True, exist_ok=True)
-    keep_prompts(folder.weights, places.prompts(cell))
+    if places.may_keep_prompts(cell):
+        keep_prompts(folder.weights, places.prompts(cell))
     write_bytes(places.result(cell), encode_cell(results | extra))
 
 
