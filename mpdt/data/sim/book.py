@@ -16,8 +16,14 @@ import msgspec
 from mpdt.data.spec.entry import canonical_json
 from mpdt.disk import write_bytes
 from mpdt.errors import DataError, StorageError
+from mpdt.version import installed
 
 Entry = TypeVar("Entry")
+
+
+def versions() -> dict[str, str]:
+    """Of the packages that measured numbers depend on."""
+    return installed(("metaworld", "mujoco", "numpy"))
 
 
 class _Book(msgspec.Struct, Generic[Entry], frozen=True, forbid_unknown_fields=True):
