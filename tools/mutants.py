@@ -157,26 +157,29 @@ def try_break(one: Break, tree: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def check_unbroken(breaks: list[Break]) -> None:
+    """Raises: SystemExit if a test of these breaks fails without any."""
+    tests = dict.fromkeys(test for one in breaks for test in one.tests)
+    with tempfile.TemporaryDirectory() as name:
+        code, text = run_tests(copy_tree(Path(name)), list(tests))
+    if code != 0:
+        raise SystemExit(f"the tests fail without a break: {code}\n{text[-3000:]}")
+
+
 def try_all(breaks: list[Break], jobs: int) -> list[dict[str, Any]]:
-    """All of them, in the order of the list. Raises: SystemExit if the tests fail unbroken."""
-    every = dict.fromkeys(test for one in breaks for test in one.tests)
+    """What became of each, in the order of the list."""
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(jobs) as pool:
         trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
         for number in range(jobs):
             trees.put(copy_tree(Path(name) / str(number)))
 
-        def attempt(one: Break | None) -> dict[str, Any]:
+        def attempt(one: Break) -> dict[str, Any]:
             tree = trees.get()
             try:
-                if one is not None:
-                    return try_break(one, tree)
-                code, text = run_tests(tree, tuple(every))
-                return {} if code == 0 else {"failed": text}
+                return try_break(one, tree)
             finally:
                 trees.put(tree)
 
-        if failed := pool.submit(attempt, None).result().get("failed"):
-            raise SystemExit(f"the tests fail without a break\n{failed[-3000:]}")
         found = []
         for result in pool.map(attempt, breaks):
             print(f"{result['outcome']:<9} {result['file']}  {result['by']}", flush=True)
@@ -196,6 +199,7 @@ def main() -> None:
     breaks = read_list()
     chosen = [one for one in breaks if options.only in one.file]
     began = time.monotonic()
+    check_unbroken(chosen)
     found = try_all(chosen, options.jobs)
     survivors = [one for one in found if one["outcome"] == SURVIVED]
     report = {
