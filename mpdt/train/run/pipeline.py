@@ -31,6 +31,7 @@ from mpdt.train.run.build import build
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder, claimed, inspect
 from mpdt.train.run.judge import Judge
+from mpdt.train.run.older import as_stored
 from mpdt.train.run.prepare import Prepared
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.results import find_results, results_header, set_aside
@@ -56,7 +57,10 @@ def run_pipeline(
     if not time_limit_s >= 0:
         raise UsageError("setting out of range", where="--time-limit-s",
                          expected="at least 0", found=str(time_limit_s))  # fmt: skip
-    config, identity, restart = prepared.config, prepared.identity, how == "restart"
+    restart = how == "restart"
+    if not restart:
+        prepared = as_stored(prepared, folder)
+    config, identity = prepared.config, prepared.identity
     group = Group.join()
     if group.size > 1 and config.inputs.return_dropout:
         raise UsageError("return dropout is drawn for whole batches, not for a process's share",

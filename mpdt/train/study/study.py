@@ -24,6 +24,7 @@ from mpdt.train.run.config import TrainConfig, from_plain, to_plain
 from mpdt.train.run.folder import locate
 from mpdt.train.run.identity import plain_settings
 from mpdt.train.run.methods import apply_method, merge
+from mpdt.train.run.older import called_once
 from mpdt.train.run.pipeline import run_pipeline
 from mpdt.train.run.prepare import Prepared, prepare
 from mpdt.train.run.presets import get_preset
@@ -71,7 +72,7 @@ def configure(cell: Cell) -> TrainConfig:
     """Preset, then method, then the cell's own changes. Raises: UsageError, SpecError."""
     plain = to_plain(apply_method(get_preset(cell.preset), cell.method))
     label = {"method": cell.label} if cell.label else {}
-    return from_plain(merge(plain, {**cell.changes, **label, "seed": cell.seed}))
+    return from_plain(called_once(merge(plain, {**cell.changes, **label, "seed": cell.seed})))
 
 
 def inspect_cell(cell: Cell, places: Places) -> Outcome:
