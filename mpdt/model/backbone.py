@@ -21,10 +21,9 @@ import torch
 from einops import rearrange
 from torch import Tensor, nn
 
-from mpdt.errors import BackboneError, ShapeError
+from mpdt.errors import BackboneError, ShapeError, check_at_least
 from mpdt.model.adapters import adapted
 from mpdt.model.language import SHIPPED, DtypeName, fingerprint, pick_dtype, read_language_model
-from mpdt.model.limits import check_at_least
 from mpdt.model.lowrank import add_low_rank
 from mpdt.model.prefix import NO_PREFIX, PrefixCache
 

@@ -23,9 +23,8 @@ from torch import Tensor, nn
 
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.data.slices.windows import WindowBatch
-from mpdt.errors import TrainingError
+from mpdt.errors import TrainingError, check_at_least
 from mpdt.model.demonstrations import DemonstrationPrompts
-from mpdt.model.limits import check_at_least
 from mpdt.model.policy import PromptPolicy, action_loss
 from mpdt.model.prompts import (
     AdaptedPrompts,
