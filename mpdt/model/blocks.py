@@ -169,7 +169,7 @@ def attend(
 
 
 def _newest(x: Tensor) -> Tensor:
-    """The last token alone. Copied: for a slice torch multiplies by a copy of the weights per row."""
+    """The last token alone; copied, or torch multiplies by a copy of the weights per row."""
     return x[:, -1:].contiguous()
 
 
