@@ -8,11 +8,13 @@ and its results say what was really loaded.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 import msgspec
 
+from mpdt.errors import FormatError, MissingFileError
 from mpdt.model.language import ONCE_AUTO, SHIPPED
 from mpdt.train.run.folder import RunFolder, stored_settings
 from mpdt.train.run.prepare import Prepared
@@ -30,8 +32,10 @@ def as_stored(prepared: Prepared, folder: RunFolder) -> Prepared:
     if not {word, prepared.config.backbone.name} <= {ONCE_AUTO, SHIPPED}:
         return prepared
     meant = SHIPPED
-    if word == ONCE_AUTO and folder.results.exists():
-        meant = str(read_results(folder.path)["backbone"].get("name", SHIPPED))
+    if word == ONCE_AUTO:
+        # Without results that can be read it is the shipped one; weights of another refuse it.
+        with suppress(MissingFileError, FormatError):
+            meant = str(read_results(folder.path)["backbone"].get("name", SHIPPED))
     config = msgspec.structs.replace(
         prepared.config, backbone=msgspec.structs.replace(prepared.config.backbone, name=meant)
     )

@@ -7,6 +7,7 @@ import torch
 
 import mpdt
 from mpdt.model import language
+from mpdt.train.evaluate.sealed import sealed
 from mpdt.train.run.folder import RunFolder, stored_settings
 from mpdt.train.run.older import as_stored, called_once
 from mpdt.train.run.prepare import prepare
@@ -52,7 +53,7 @@ def test_a_run_whose_auto_was_gpt2_still_means_it(tiny_file, tmp_path):
     results = tmp_path / "r" / "results.json"
     content = json.loads(results.read_text())
     content["backbone"]["name"] = "gpt2"
-    results.write_text(json.dumps(content))
+    results.write_text(json.dumps(sealed(content)))
     folder = RunFolder(tmp_path / "r")
     prepared = prepare(stored_settings(folder.path), str(tiny_file))
     found = as_stored(prepared, folder)
