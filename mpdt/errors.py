@@ -10,7 +10,7 @@
     ├── StorageError                1   the disk refused: full, read-only, no permission
     ├── RemoteError                 1   the other side refused, or the connection broke
     ├── SimulatorError              3   simulator missing or of another version
-    ├── BusyError                   4   another collector holds the target
+    ├── BusyError                   4   another process writes the target
     ├── BackboneError               2   language model unknown, unreachable or not whole
     └── TrainingError               1   training cannot go on (NaN, mismatched checkpoint)
 
