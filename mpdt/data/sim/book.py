@@ -15,7 +15,8 @@ import msgspec
 
 from mpdt.data.spec.entry import canonical_json
 from mpdt.disk import write_bytes
-from mpdt.errors import DataError, StorageError
+from mpdt.errors import DataError
+from mpdt.reading import read_plain
 from mpdt.version import installed
 
 Entry = TypeVar("Entry")
@@ -41,9 +42,7 @@ def read_book(path: Path, kind: type[Entry], format: str, what: str) -> tuple[En
     Raises: DataError for anything else than such a file; StorageError.
     """
     try:
-        book = msgspec.json.decode(path.read_bytes(), type=_Book[kind])  # type: ignore[valid-type]
-    except OSError as error:
-        raise StorageError("cannot be read", where=str(path), found=str(error)) from error
+        book = msgspec.json.decode(read_plain(path), type=_Book[kind])  # type: ignore[valid-type]
     except msgspec.DecodeError as error:
         raise DataError(f"not a {what}", where=str(path), found=str(error),
                         hint="delete it, or choose another file with -o") from error  # fmt: skip

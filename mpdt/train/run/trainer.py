@@ -136,6 +136,7 @@ class Trainer:
                 "config": {k: v for k, v in to_plain(self._config).items() if k not in JUDGING},
             },
         )
+        self.folder.log.sync()
         save_weights(path, subject.tensors(optimizer=False), header)
         for phase in updates:
             if updates[phase] == self.learner.asked[phase]:
