@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from typing import TextIO
 
 from mpdt.errors import visible
@@ -20,12 +21,15 @@ class Progress:
     """Args:
     quiet: say nothing.
     stop: asked after every update; None = nobody stops it.
+
+    `also`, where it is set, is asked together with it and raises what ends the run.
     """
 
     def __init__(
         self, quiet: bool = False, stop: StopRequest | None = None, stream: TextIO | None = None
     ) -> None:
         self.stop = stop or StopRequest()
+        self.also: Callable[[], None] | None = None
         self._quiet, self._stream = quiet, stream or sys.stderr
         self._terminal = self._stream.isatty()
         self._pace = Pace(BAR_EVERY_S if self._terminal else SAY_EVERY_S)
@@ -42,9 +46,11 @@ class Progress:
     def update(self, phase: str, done: int, total: int, text: str = "") -> None:
         """`done` of `total` steps of a phase; a new phase starts its own clock.
 
-        Raises: Stopped after a signal.
+        Raises: Stopped after a signal; what `also` raises.
         """
         self._show(phase, done, total, text)
+        if self.also is not None:
+            self.also()
         self.stop.check()
 
     def _show(self, phase: str, done: int, total: int, text: str) -> None:
