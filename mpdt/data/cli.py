@@ -31,9 +31,9 @@ from mpdt.data.verbs.editing import Diff, Drop, Merge
 from mpdt.data.verbs.exchange import Export, Import
 from mpdt.data.verbs.look import Info, List, Show
 from mpdt.data.verbs.make import Calibrate, Collect, Plans, Pretrain
-from mpdt.data.verbs.measure import Measure
 from mpdt.data.verbs.options import Options
 from mpdt.data.verbs.pages import Report, View
+from mpdt.data.verbs.reference import Reference
 from mpdt.data.verbs.remote import Pull, Push
 from mpdt.data.verbs.trust import Lock, Verify
 from mpdt.errors import MpdtError, UsageError, unknown_name, visible
@@ -56,7 +56,7 @@ VERBS: dict[str, type[Options]] = {
     "pull": Pull,
     "pretrain": Pretrain,
     "calibrate": Calibrate,
-    "reference": Measure,
+    "reference": Reference,
     "verify": Verify,
     "report": Report,
     "view": View,

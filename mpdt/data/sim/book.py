@@ -1,7 +1,7 @@
 """Book: measured data with its evidence, as a JSON file of one line per entry.
 
 Two are shipped under `weights/`: mixing rates (`calibration.py`) and references
-(`references.py`). The format is refused if it is another, and so is any unknown field.
+(`record.py`). The format is refused if it is another, and so is any unknown field.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ import msgspec
 
 from mpdt.data.sim.book import versions
 from mpdt.data.sim.portions import ROWS, Player, Portion, expert_ladder, kind_of
-from mpdt.data.sim.references import (
+from mpdt.data.sim.record import (
     LOCAL_FILE,
     Entry,
     Place,

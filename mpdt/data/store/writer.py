@@ -9,7 +9,6 @@ target stays untouched until the new one is on the disk.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mpdt.data.spec.entry import canonical_json
+from mpdt.data.spec.entry import canonical_json, spec_hash
 from mpdt.data.store import columns, layout, provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash, episode_digest
@@ -118,7 +117,7 @@ def _fill(
             layout.write_json(file, "lineage", {"steps": [dict(step) for step in header.lineage]})
         file.attrs["format"] = layout.FORMAT
         layout.write_json(file, "spec", header.spec)
-        file.attrs["spec_hash"] = hashlib.sha256(canonical_json(header.spec)).hexdigest()
+        file.attrs["spec_hash"] = spec_hash(header.spec)
         file.attrs["content_hash"] = content_hash(header.content(), digests)
         layout.write_json(file, "packages", header.packages or provenance.packages())
         layout.write_json(file, "platform", header.platform or provenance.machine())
