@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.reference import Reference
-from mpdt.data.sim import references as module
+from mpdt.data.sim import record as module
 from mpdt.data.sim.portions import Player, Portion, expert_ladder, score_of
 from mpdt.data.sim.record import (
     LOCAL_FILE,
