@@ -112,7 +112,7 @@ def test_other_ways_to_fail(tmp_path):
 def test_the_lock_lies_beside_its_catalog_unless_that_is_installed(tmp_path, monkeypatch):
     catalog = tmp_path / "datasets.yaml"
     assert lock_path(catalog) == tmp_path / "datasets.lock"
-    monkeypatch.setattr(lock.mpdt, "__file__", str(tmp_path / "__init__.py"))
+    monkeypatch.setattr(lock, "__file__", str(tmp_path / "data" / "lock" / "file.py"))
     assert str(lock_path(catalog)) == "datasets.lock"
 
 
