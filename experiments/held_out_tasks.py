@@ -21,7 +21,6 @@ import torch
 from numpy.typing import NDArray
 from trained import SEED, open_run
 
-from mpdt.draw.table import markdown_table
 from mpdt.errors import MpdtError
 from mpdt.seeding import phase_seed
 from mpdt.train.adapt.candidates import Candidates
@@ -75,14 +74,13 @@ def main() -> None:
         tasks, found = returns_of(args.run, args.data, args.tasks, args.episodes)
     except MpdtError as error:
         sys.exit(error.render())
-    rows = []
+    print("| prompt of | mean return | 95 % interval over tasks | worst |\n|---|---|---|---|")
     for name, returns in found.items():
         # Tasks stand for the runs of one table column: they are what is resampled.
         low, high = stratified_interval(returns[:, None], mean)
         worst = int(returns.argmin())
-        rows.append((name, f"{returns.mean():.1f}", f"[{low:.1f}, {high:.1f}]",
-                     f"{tasks[worst]} {returns[worst]:.1f}"))  # fmt: skip
-    print(markdown_table(("prompt of", "mean return", "95 % interval over tasks", "worst"), rows))
+        print(f"| {name} | {returns.mean():.1f} | [{low:.1f}, {high:.1f}] "
+              f"| {tasks[worst]} {returns[worst]:.1f} |")  # fmt: skip
     if args.json:
         content = {
             "run": args.run.name,

@@ -41,7 +41,7 @@ class Stream(IntEnum):
 
 
 class Quality(IntEnum):
-    """Third element of the seed key. The first four are also stored per episode."""
+    """Third element of the seed key. The first four and POLICY are also stored per episode."""
 
     RANDOM = 0
     MEDIUM = 1
@@ -56,6 +56,7 @@ class Quality(IntEnum):
     PRETRAINING = 10
     GOALS = 11
     REFERENCE_CONSTANT = 12
+    POLICY = 13
 
 
 @dataclass(frozen=True)

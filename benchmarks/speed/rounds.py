@@ -11,6 +11,7 @@ ends with `rounds.main(...)`, which starts it anew with one BLAS thread if it ha
 from __future__ import annotations
 
 import argparse
+import importlib.metadata
 import io
 import json
 import multiprocessing
@@ -25,8 +26,6 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
-
-from mpdt.version import installed
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results" / "bench"
@@ -154,7 +153,13 @@ def cores() -> int:
 
 
 def versions() -> dict[str, str]:
-    return {"python": platform.python_version()} | installed(PACKAGES)
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
 
 
 def scratch() -> Path:
@@ -175,10 +180,12 @@ def without_output() -> Iterator[None]:
 
 def have(package: str) -> bool:
     """Whether a peer is installed; without it its rows are left out."""
-    if installed([package]):
-        return True
-    print(f"({package} is not installed: left out)")
-    return False
+    try:
+        importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        print(f"({package} is not installed: left out)")
+        return False
+    return True
 
 
 @contextmanager

@@ -13,8 +13,15 @@ from mpdt.seeding import Quality
 
 QUALITY_CODES: dict[str, int] = {
     quality.name.lower(): int(quality)
-    for quality in (Quality.RANDOM, Quality.MEDIUM, Quality.EXPERT, Quality.HISTORY)
+    for quality in (
+        Quality.RANDOM,
+        Quality.MEDIUM,
+        Quality.EXPERT,
+        Quality.HISTORY,
+        Quality.POLICY,
+    )
 }
+"""By name; `policy` is of roll-outs, the others are collected."""
 UNKNOWN_QUALITY = -1
 UNKNOWN_PROGRESS = -1.0
 UNKNOWN_POLICY = bytes(32)

@@ -86,7 +86,7 @@ def windows(
         data: an open dataset, FILE or FILE:slice.
         window, per_task: K and M of the batch's shapes (n tasks, M, K, ...).
         tasks: names or rows; none = the training tasks.
-        quality: random, medium, expert, history, or several; None = all.
+        quality: random, medium, expert, history, policy, or several; None = all.
     Raises: UsageError for unknown names; DataError if a task has no such episode; as `open`.
     """
     name: str | None = None

@@ -117,6 +117,13 @@ class ClosedLoop:
         self._check(targets, (self.num_rows,), "targets")
         self._targets = np.asarray(targets, dtype=np.float64)[self._rows]
 
+    def acted(self, actions: Array) -> None:
+        """What (B, A) was done at the last step in place of the actions that were chosen."""
+        self._check(actions, (self.num_rows, self.policy.action_size), "actions")
+        assert self._last is not None, "act() comes first"
+        done = np.asarray(actions, np.float32).clip(self._low, self._high)
+        self._last = replace(self._last, actions=done[self._rows])
+
     def fork(self) -> ClosedLoop:
         """Another loop with the same histories; neither knows what the other does from now on."""
         other = copy.copy(self)

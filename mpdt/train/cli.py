@@ -9,6 +9,7 @@
     mpdt-train report runs/ml10-base                     the tables of a finished run
     mpdt-train adapt runs/ml10-base --data ml10.h5 --adapt.starts infer     no training
     mpdt-train bundle runs/ml10-base -o ml10-policy      a folder that acts anywhere
+    mpdt-train rollout runs/ml10-base -o ml10-policy.h5  its episodes as data
     mpdt-train study one-block --data-dir data           every method that is not done yet
 
 Results go to stdout, talk to stderr. torch is imported in the bodies, so `--help` is quick.
@@ -38,6 +39,7 @@ from mpdt.train.options import (
     Command,
     Evaluate,
     Report,
+    Rollout,
     Run,
     Settings,
     Study,
@@ -110,6 +112,8 @@ def execute(command: Command, rest: list[str]) -> int:
         return 0
     if isinstance(command, Bundle):
         return _bundle(command)
+    if isinstance(command, Rollout):
+        return _roll_out(command)
     return _study(command) if isinstance(command, Study) else _report(command)
 
 
@@ -159,6 +163,27 @@ def _judge(command: Evaluate, rest: list[str]) -> int:
             Progress(command.quiet, stop), "judge",
         )  # fmt: skip
         print_results(results, command.json)
+        return 0
+
+    return _until_stopped(body)
+
+
+def _roll_out(command: Rollout) -> int:
+    from mpdt.train.rollout.roll_out import bundle_folder, plan_roll_outs, roll_out
+    from mpdt.train.rollout.show import print_rolled_out
+    from mpdt.train.run.progress import Progress
+
+    asked = plan_roll_outs(
+        bundle_folder(command.policy), command.tasks, command.start, command.episodes,
+        command.noise, command.seed,
+    )  # fmt: skip
+
+    def body(stop: StopRequest) -> int:
+        progress = Progress(command.quiet, stop)
+        done = roll_out(asked, command.output, command.workers, command.restart, progress)
+        if not done.is_new:
+            progress.say(f"this is done: {command.output} (again: --restart)")
+        print_rolled_out(done, command.json)
         return 0
 
     return _until_stopped(body)

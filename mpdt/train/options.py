@@ -152,8 +152,43 @@ class Bundle:
     """Show tracebacks."""
 
 
-Command = Run | Settings | Evaluate | Study | Report | Bundle
+@dataclass(frozen=True)
+class Rollout:
+    """Let a policy act in the simulator and keep its episodes as a data file.
+
+    An ordinary one, of quality `policy`: verify, show, split, merge, exports and training take it.
+    The bytes do not depend on the number of workers; an interrupted call goes on where it was.
+    """
+
+    policy: tyro.conf.Positional[str]
+    """A bundle's folder or address, or the folder of a run."""
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Data file to write."""
+    tasks: str = "train"
+    """train, test, all, or names with commas between them."""
+    start: str | None = None
+    """Prompts to act behind, such as own, cross or none; default: own, or none for tasks that
+    were not trained on."""
+    episodes: int = 50
+    """Episodes per task."""
+    noise: float = 0.0
+    """Standard deviation of the Gaussian added to actions, in their own unit."""
+    seed: int = 0
+    """Number of these roll-outs; those of another number begin elsewhere, and merge with these."""
+    workers: int | None = None
+    """Processes; default: one per core, 0 = in this one."""
+    restart: bool = False
+    """Throw away what an earlier call left."""
+    json: bool = False
+    """Print JSON instead of a table."""
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
+    """No progress on stderr."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+Command = Run | Settings | Evaluate | Study | Report | Bundle | Rollout
 COMMANDS: dict[str, type[Command]] = {
     "run": Run, "settings": Settings, "adapt": Adapt, "evaluate": Evaluate, "study": Study,
-    "report": Report, "bundle": Bundle,
+    "report": Report, "bundle": Bundle, "rollout": Rollout,
 }  # fmt: skip

@@ -7,9 +7,10 @@ something to learn.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from mpdt.data.store.tables import Additions, Slice, TaskRow
 from mpdt.data.store.writer import write_file
 
 D, A, HORIZON = 20, 6, 9
+SPEC = {"name": "tiny", "horizon": HORIZON, "env": {}}
 QUALITIES = {0: 2, 1: 2, 2: 4}  # code -> episodes per task
 
 
@@ -64,6 +66,7 @@ def write(
     qualities: dict[int, int] = QUALITIES,
     tta: bool = True,
     paid: Callable[[Episode], Episode] = lambda episode: episode,
+    spec: Mapping[str, Any] = SPEC,
 ) -> Path:
     """`paid`: gives X's episodes other rewards."""
     episodes = [drawn_episode(task, quality, row) for task in (0, 1)
@@ -71,7 +74,7 @@ def write(
     unseen = [paid(drawn_episode(task, 4, row, scale=3.0)) for task in (0, 1) for row in range(2)]
     header = FileHeader(
         family="cheetah_dir", name="tiny", version="1.0.0", license="CC0-1.0",
-        spec={"name": "tiny", "horizon": HORIZON, "env": {}},
+        spec=spec,
         observation_size=D, action_size=A, has_success=False,
         tasks=(
             TaskRow("forward", 0, "both", {}, references(0.0, -1.0, 9.0)),
@@ -97,6 +100,19 @@ def write(
 @pytest.fixture(scope="session")
 def tiny_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("data") / "tiny.h5")
+
+
+@pytest.fixture(scope="session")
+def planned_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """`tiny_file` with all that an entry of datasets.yaml says: root seed 7, blocks of 4."""
+    counts = {"random": 2, "medium": 2, "expert": 4, "history": 0}
+    spec = SPEC | {
+        "version": "1.0.0", "family": "cheetah_dir", "seed": 7, "block": 4, "episodes": counts,
+        "behaviour": {"network": "cheetah_dir", "script": None, "rungs": 3, "noise": 0.0},
+        "license": "CC0-1.0", "tasks": "all", "test": None, "goals": None, "tta": {},
+        "reference": 2,
+    }  # fmt: skip
+    return write(tmp_path_factory.mktemp("data") / "tiny.h5", spec=spec)
 
 
 @pytest.fixture(scope="session")

@@ -65,7 +65,7 @@ class TaskFacts:
     role: str
     references: References
     groups: Mapping[str, Group]
-    """By quality, in the order random, medium, expert, history, unknown."""
+    """By quality, in the order random, medium, expert, history, policy, unknown."""
 
     @property
     def episodes(self) -> int:

@@ -9,6 +9,7 @@ job -> lock -> missing blocks on workers -> levels -> pack -> parts deleted
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections import Counter
 from collections.abc import Callable
@@ -20,13 +21,13 @@ from typing import Any
 from mpdt.data.collect.engine import Engine, Processes, decisive_versions
 from mpdt.data.collect.job import Job
 from mpdt.data.collect.levels import check_levels, measure_levels
-from mpdt.data.collect.pack import pack
+from mpdt.data.collect.pack import header_of, pack
 from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.plan import Block, Plan
 from mpdt.data.collect.runner import BlockReport, Gap, report_part
 from mpdt.data.lock.keeper import LockKeeper, plain_spec
 from mpdt.data.spec.change import changed_keys
-from mpdt.data.spec.entry import spec_hash
+from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 from mpdt.errors import BusyError, DataError, FormatError, StorageError, quoted
@@ -126,7 +127,8 @@ def _collect(
         reports, resumed = run_missing(job, folder, engine, on_progress or (lambda _: None))
         levels = measure_levels(plan, reports)
         warnings = check_levels(plan, levels, str(folder.path))
-        dataset = pack(job, folder, reports, levels, approve)
+        references = {task: level.references for task, level in levels.items()}
+        dataset = pack(plan, folder, reports, header_of(job), references, approve)
         folder.delete()
     return Collected(dataset, True, resumed, warnings)
 
@@ -173,7 +175,7 @@ def describe_plan(plan: Plan) -> dict[str, Any]:
     spec = {k: v for k, v in plain_spec(plan.spec).items() if k not in ("version", "license")}
     return {
         "spec": spec,
-        "spec_hash": spec_hash(spec),
+        "spec_hash": hashlib.sha256(canonical_json(spec)).hexdigest(),
         "versions": decisive_versions(),
         # Which references are on record may change between two runs, and changes no part.
         "blocks": [block.label for block in plan.blocks if block.kind != "reference"],

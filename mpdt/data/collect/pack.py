@@ -13,11 +13,11 @@ from typing import Any
 import msgspec
 
 from mpdt.data.collect.job import Job
-from mpdt.data.collect.levels import TaskLevels
 from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.plan import Block, Plan
 from mpdt.data.collect.runner import BlockReport
 from mpdt.data.episode import Episode
+from mpdt.data.reference import References
 from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.tasks import Task
 from mpdt.data.store import provenance
@@ -28,23 +28,24 @@ from mpdt.data.store.writer import write_file
 
 
 def pack(
-    job: Job,
+    plan: Plan,
     folder: PartsFolder,
     reports: Sequence[BlockReport],
-    levels: Mapping[str, TaskLevels],
+    header: FileHeader,
+    references: Mapping[str, References],
     approve: Callable[[Dataset], None] | None = None,
 ) -> Dataset:
-    """Write the target of `folder` from the parts of all blocks of `job`.
+    """Write the target of `folder` from the parts of all blocks of `plan`.
 
     Args:
         reports: one per block, in any order.
-        levels: their references go into the task table.
+        header: with every policy an episode may name; see `header_of`.
+        references: by task name, for the task table.
         approve: looks at all episodes before the file takes its place; may raise.
 
     Raises: StorageError where the disk refuses, DataError for a part that was damaged
         meanwhile; the target is untouched in both cases.
     """
-    plan = job.plan
     steps = {report.block: report.steps for report in reports}
 
     def counts(blocks: Sequence[Block]) -> tuple[int, int]:
@@ -60,14 +61,13 @@ def pack(
         if blocks := plan.of_kind("tta", name):
             tta[name] = tta_source(plan, name, episodes(blocks), *counts(blocks))
     source = EpisodeSource(episodes(stored), *counts(stored))
-    references = {task: level.references for task, level in levels.items()}
 
     def finish(dataset: Dataset) -> Additions:
         if approve is not None:
             approve(dataset)
         return replace(standard_additions(dataset), references=references)
 
-    return write_file(folder.target, _header(job), source, tta, finish)
+    return write_file(folder.target, header, source, tta, finish)
 
 
 def tta_source(
@@ -79,7 +79,8 @@ def tta_source(
     )
 
 
-def _header(job: Job) -> FileHeader:
+def header_of(job: Job) -> FileHeader:
+    """What a file made by this job says of itself."""
     plan = job.plan
     spec, family = plan.spec, plan.family
     packages = provenance.packages()

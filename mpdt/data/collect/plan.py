@@ -15,10 +15,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.reference import Reference
-from mpdt.data.sim.record import NOTHING, Record
-from mpdt.data.spec.entry import DatasetSpec, TtaRule, spec_hash
+from mpdt.data.sim.references import NOTHING, Record
+from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts, TtaRule, spec_hash
 from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.seeding import HISTORY_STRIDE, Quality, SeedKey
 
@@ -44,6 +43,7 @@ class Block:
     rows: int
     horizon: int
     action_scale: float = 1.0
+    unseen_goals: bool = False  # where a family numbers its goals: the held-out ones
 
     @property
     def label(self) -> str:
@@ -63,13 +63,18 @@ class Block:
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything `collect` will do, before anything is done."""
+    """Everything `collect` will do, before anything is done.
+
+    Args:
+        side_by_side: rows a policy is evaluated at; 0 = as many as the family's own take.
+    """
 
     spec: DatasetSpec
     family: Family
     tasks: tuple[Task, ...]
     blocks: tuple[Block, ...]  # canonical order: ascending (task, quality, number)
     records: Mapping[str, Record] = field(default_factory=dict)  # references, by task name
+    side_by_side: int = 0
 
     def on_record(self, task: Task) -> Record:
         """What is known of a task before any episode of this plan."""
@@ -82,7 +87,8 @@ class Plan:
     @property
     def width(self) -> int:
         """Rows a policy is evaluated at. Meta-World envs are stepped one by one."""
-        return 1 if self.family.simulator == "metaworld" else self.spec.block
+        own = 1 if self.family.simulator == "metaworld" else self.spec.block
+        return self.side_by_side or own
 
     def of_kind(self, kind: str, name: str | None = None) -> list[Block]:
         return [b for b in self.blocks if b.kind == kind and name in (None, b.name)]
@@ -120,14 +126,14 @@ def make_plan(spec: DatasetSpec, records: Mapping[str, Record] | None = None) ->
     """The blocks of a dataset.
 
     Args:
-        records: result of `sim.record.find_records`; what is in it is not measured again.
+        records: result of `sim.references.find_records`; what is in it is not measured again.
 
     Raises: SpecError if the spec names an unknown family or task.
     """
     family, tasks = get_family(spec.family), spec.resolve_tasks()
     blocks: list[Block] = []
     for task in tasks:
-        for name in QUALITY_CODES:
+        for name in EpisodeCounts.__struct_fields__:
             blocks += _episode_blocks(spec, task, name)
         for name, rule in sorted(spec.tta.items()):
             blocks += _tta_blocks(spec, task, name, rule)
@@ -149,7 +155,7 @@ def spread(count: int, places: int) -> list[int]:
     return counts
 
 
-def _cut(rows: int, size: int) -> Iterator[tuple[int, int]]:
+def cut(rows: int, size: int) -> Iterator[tuple[int, int]]:
     """(number, rows) of each block: full ones, then the rest."""
     for number in range(-(-rows // size)):
         yield number, min(size, rows - number * size)
@@ -162,7 +168,7 @@ def _episode_blocks(spec: DatasetSpec, task: Task, name: str) -> Iterator[Block]
     if name == "history":
         per_rung = spread(count, spec.behaviour.rungs)
     for rung, episodes in enumerate(per_rung):
-        for number, rows in _cut(episodes, spec.block):
+        for number, rows in cut(episodes, spec.block):
             position = rung * HISTORY_STRIDE + number
             yield Block("episodes", name, task, quality, position, rows, spec.horizon)
 
@@ -172,10 +178,11 @@ def _tta_blocks(spec: DatasetSpec, task: Task, name: str, rule: TtaRule) -> Iter
     if rule.tasks != "all" and task.role not in (rule.tasks, "both"):
         return
     horizon = rule.horizon or spec.horizon
-    for number, rows in _cut(rule.episodes, spec.block):
+    for number, rows in cut(rule.episodes, spec.block):
         yield Block(
-            "tta", name, task, Quality.TTA, number, rows, horizon, action_scale=rule.action_scale
-        )
+            "tta", name, task, Quality.TTA, number, rows, horizon, action_scale=rule.action_scale,
+            unseen_goals=rule.tasks != "train",
+        )  # fmt: skip
 
 
 def _reference_blocks(
@@ -184,5 +191,5 @@ def _reference_blocks(
     for name, quality in REFERENCES.items():
         if name in known or (name != "zero" and spec.episodes.of(name) > 0):
             continue  # on record, or the stored episodes say it better
-        for number, rows in _cut(spec.reference, spec.block):
+        for number, rows in cut(spec.reference, spec.block):
             yield Block("reference", name, task, quality, number, rows, spec.horizon)

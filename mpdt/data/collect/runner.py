@@ -82,9 +82,8 @@ class BlockRunner:
         goals, rows = self.job.spec.goals, self.job.spec.block
         if goals is None or block.kind == "reference":
             return None
-        if block.kind == "tta" and self.job.spec.tta[block.name].tasks != "train":
-            return [goals.held_out_key(key, rows) for key in keys]
-        return [goals.training_key(key, rows) for key in keys]
+        draw = goals.held_out_key if block.unseen_goals else goals.training_key
+        return [draw(key, rows) for key in keys]
 
     def _batch(self, block: Block, rows: int) -> BatchEnv:
         wanted = (block.task.index, rows)

@@ -7,7 +7,8 @@
 What is stored is what acted: the action is cast to float32 and clipped first, and exactly
 those numbers go to the simulator, so that a replay of the file repeats the episode.
 
-Used by collect/runner.py, portions.py and probe.py.
+Used by collect/runner.py, portions.py and probe.py; `Record` also where a trained policy is judged
+and its episodes are kept.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy.typing as npt
 
 from mpdt.data.episode import Episode
 from mpdt.data.sim.actors import OpenLoopPolicy, Policy, Rows
-from mpdt.data.sim.batch import BatchEnv, Play, PlaysAhead, StepResult, roll_out
+from mpdt.data.sim.batch import BatchEnv, Play, PlaysAhead, Rolled, roll_out
 from mpdt.errors import DataError
 from mpdt.seeding import SeedKey
 
@@ -31,8 +32,12 @@ BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass
-class _Record:
-    """Columns of all rows while the block runs; row b is valid up to `lengths[b]`."""
+class Record:
+    """Columns of all rows while episodes run; row b is valid up to `lengths[b]`.
+
+    Args:
+        hidden_columns: observation columns that are stored as 0.
+    """
 
     observations: Float32Array  # (B, H + 1, D)
     actions: Float32Array  # (B, H, A)
@@ -40,6 +45,83 @@ class _Record:
     terminations: BoolArray  # (B, H)
     successes: BoolArray | None  # (B, H)
     lengths: npt.NDArray[np.int64]  # (B,)
+    hidden_columns: tuple[int, ...]
+
+    @classmethod
+    def of(cls, first: FloatArray, action_size: int, horizon: int, hidden: Sequence[int]) -> Record:
+        """Of episodes that begin with `first` (B, D), what the reset gave."""
+        rows = len(first)
+        record = cls(
+            observations=np.zeros((rows, horizon + 1, first.shape[1]), dtype=np.float32),
+            actions=np.zeros((rows, horizon, action_size), dtype=np.float32),
+            rewards=np.zeros((rows, horizon), dtype=np.float32),
+            terminations=np.zeros((rows, horizon), dtype=np.bool_),
+            successes=None,
+            lengths=np.zeros(rows, dtype=np.int64),
+            hidden_columns=tuple(hidden),
+        )
+        record._show(0, first)
+        return record
+
+    def add(self, rolled: Rolled) -> None:
+        """One step of all rows."""
+        step, result = rolled.step, rolled.result
+        self.actions[:, step] = rolled.actions
+        self.rewards[:, step] = result.rewards
+        self.terminations[:, step] = result.terminations
+        if result.successes is not None:
+            if self.successes is None:
+                self.successes = np.zeros(self.rewards.shape, dtype=np.bool_)
+            self.successes[:, step] = result.successes
+        self._show(step + 1, result.observations)
+        self.lengths[rolled.running] = step + 1
+
+    def add_play(self, actions: Float32Array, play: Play) -> None:
+        """All steps of all rows."""
+        self.observations[:] = play.observations
+        self.observations[:, :, list(self.hidden_columns)] = 0.0
+        self.actions[:] = actions
+        self.rewards[:] = play.rewards
+        self.terminations[:] = play.terminations
+        ended = play.terminations.any(axis=1)
+        self.lengths[:] = np.where(ended, play.terminations.argmax(axis=1) + 1, actions.shape[1])
+
+    def episode(
+        self, row: int, key: SeedKey, goal: FloatArray, policy: bytes, quality: int, progress: float
+    ) -> Episode:
+        """What the row has lived through; its arrays are its own.
+
+        Args:
+            policy: hash of who acted.
+        Raises: DataError for a number that is not finite.
+        """
+        length = int(self.lengths[row])
+        # A view would keep the whole block in memory as long as one of its episodes: copy.
+        observations = self.observations[row, : length + 1].copy()
+        actions = self.actions[row, :length].copy()
+        rewards = self.rewards[row, :length].copy()
+        _check_finite(key, observations, actions, rewards)
+        truncations = np.zeros(length, dtype=np.bool_)
+        truncations[-1] = length == self.actions.shape[1]
+        successes = self.successes
+        return Episode(
+            observations=observations,
+            actions=actions,
+            rewards=rewards,
+            terminations=self.terminations[row, :length].copy(),
+            truncations=truncations,
+            successes=None if successes is None else successes[row, :length].copy(),
+            task=key.task,
+            goal=np.asarray(goal, dtype=np.float64),
+            quality=quality,
+            progress=progress,
+            policy=policy,
+            seed_key=key.spawn_key,
+        )
+
+    def _show(self, index: int, observations: FloatArray) -> None:
+        self.observations[:, index] = observations
+        self.observations[:, index, list(self.hidden_columns)] = 0.0
 
 
 def run_block(
@@ -86,118 +168,33 @@ def run_block(
     observations = env.reset(keys, goals)
     extra = [keys[-1].at_row(keys[-1].row + 1 + row) for row in range(padding)]
     policy.begin(Rows([*keys, *extra], [*goals, *goals[-1:] * padding], horizon))
-    record = _empty_record(env, horizon)
+    record = Record.of(observations, env.action_size, horizon, hidden_columns)
     low, high = env.low.astype(np.float32), env.high.astype(np.float32)
 
     def stored(actions: npt.NDArray[np.floating[Any]]) -> Float32Array:
         cast = actions[: len(keys)].astype(np.float32)
         return np.clip(cast, low, high) if clip else cast
 
+    def filled(rows: FloatArray) -> FloatArray:
+        return np.concatenate([rows, np.repeat(rows[:1], padding, axis=0)])
+
     if isinstance(policy, OpenLoopPolicy) and isinstance(env, PlaysAhead):
         actions = stored(policy.all_actions())
-        _store_play(record, actions, env.play(actions), hidden_columns)
+        record.add_play(actions, env.play(actions))
     else:
-        _store_observations(record, 0, observations, hidden_columns)
 
         def choose(
             step: int, seen: FloatArray, rewards: FloatArray | None, running: BoolArray
         ) -> Float32Array:
-            shown = np.concatenate([seen, np.repeat(seen[:1], padding, axis=0)])
-            return stored(policy.act(step, shown))
+            paid = None if rewards is None else filled(rewards)
+            return stored(policy.act(step, filled(seen), paid))
 
         for rolled in roll_out(env, observations, choose, horizon):
-            _store_step(record, rolled.step, rolled.actions, rolled.result, hidden_columns)
-            record.lengths[rolled.running] = rolled.step + 1
+            record.add(rolled)
     return [
-        _episode(record, row, key, goals[row], policy, horizon, quality, progress)
+        record.episode(row, key, goals[row], policy.info.hash, quality, progress)
         for row, key in enumerate(keys)
     ]
-
-
-def _empty_record(env: BatchEnv, horizon: int) -> _Record:
-    rows = env.num_rows
-    return _Record(
-        observations=np.zeros((rows, horizon + 1, env.observation_size), dtype=np.float32),
-        actions=np.zeros((rows, horizon, env.action_size), dtype=np.float32),
-        rewards=np.zeros((rows, horizon), dtype=np.float32),
-        terminations=np.zeros((rows, horizon), dtype=np.bool_),
-        successes=None,
-        lengths=np.zeros(rows, dtype=np.int64),
-    )
-
-
-def _store_play(
-    record: _Record, actions: Float32Array, play: Play, hidden_columns: Sequence[int]
-) -> None:
-    record.observations[:] = play.observations
-    record.observations[:, :, list(hidden_columns)] = 0.0
-    record.actions[:] = actions
-    record.rewards[:] = play.rewards
-    record.terminations[:] = play.terminations
-    ended = play.terminations.any(axis=1)
-    record.lengths[:] = np.where(ended, play.terminations.argmax(axis=1) + 1, actions.shape[1])
-
-
-def _store_observations(
-    record: _Record,
-    index: int,
-    observations: npt.NDArray[np.float64],
-    hidden_columns: Sequence[int],
-) -> None:
-    record.observations[:, index] = observations
-    record.observations[:, index, list(hidden_columns)] = 0.0
-
-
-def _store_step(
-    record: _Record,
-    step: int,
-    actions: Float32Array,
-    result: StepResult,
-    hidden_columns: Sequence[int],
-) -> None:
-    record.actions[:, step] = actions
-    record.rewards[:, step] = result.rewards
-    record.terminations[:, step] = result.terminations
-    if result.successes is not None:
-        if record.successes is None:
-            record.successes = np.zeros(record.rewards.shape, dtype=np.bool_)
-        record.successes[:, step] = result.successes
-    _store_observations(record, step + 1, result.observations, hidden_columns)
-
-
-def _episode(
-    record: _Record,
-    row: int,
-    key: SeedKey,
-    goal: npt.NDArray[np.float64],
-    policy: Policy,
-    horizon: int,
-    quality: int,
-    progress: float,
-) -> Episode:
-    length = int(record.lengths[row])
-    # A view would keep the whole block in memory as long as one of its episodes: copy.
-    observations = record.observations[row, : length + 1].copy()
-    actions = record.actions[row, :length].copy()
-    rewards = record.rewards[row, :length].copy()
-    _check_finite(key, observations, actions, rewards)
-    truncations = np.zeros(length, dtype=np.bool_)
-    truncations[-1] = length == horizon
-    successes = record.successes
-    return Episode(
-        observations=observations,
-        actions=actions,
-        rewards=rewards,
-        terminations=record.terminations[row, :length].copy(),
-        truncations=truncations,
-        successes=None if successes is None else successes[row, :length].copy(),
-        task=key.task,
-        goal=np.asarray(goal, dtype=np.float64),
-        quality=quality,
-        progress=progress,
-        policy=policy.info.hash,
-        seed_key=key.spawn_key,
-    )
 
 
 def _check_finite(key: SeedKey, *arrays: Float32Array) -> None:

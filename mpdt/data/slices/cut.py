@@ -34,7 +34,7 @@ class Cut:
     """Which episodes to keep; what is None does not matter.
 
     Args:
-        quality: `random`, `medium`, `expert` or `history`.
+        quality: `random`, `medium`, `expert`, `history` or `policy`.
         tasks: names of tasks of the file.
         role: tasks that are trained on, or tested on; role `both` is in either.
         progress: A and B with A <= progress < B, or <= B where B is 1.

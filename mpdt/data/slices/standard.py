@@ -39,7 +39,7 @@ def standard_additions(dataset: Dataset) -> Additions:
 def standard_slices(dataset: Dataset) -> dict[str, Slice]:
     """Slices by name; empty ones are left out. Tasks of role `both` are in train and test.
 
-    quality   random, medium, expert, history
+    quality   random, medium, expert, history, policy
     role      train, test
     history   paper-random, paper-medium, paper-expert, paper-mixed
     """

@@ -165,7 +165,7 @@ class Dataset:
 
         Args:
             task: name or row of the task table, or several.
-            quality: `random`, `medium`, `expert`, `history`, `unknown`, or several.
+            quality: `random`, `medium`, `expert`, `history`, `policy`, `unknown`, or several.
             slice: name of a stored slice.
         Raises: UsageError naming the nearest known task, quality or slice.
         """

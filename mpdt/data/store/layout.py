@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,8 +122,6 @@ TTA_GROUPS: dict[str, tuple[Column, ...]] = {
     "episodes": TTA_EPISODES,
     "": TTA_SIMULATOR,
 }
-QUALITY_ATTRIBUTE = dict(QUALITY_CODES, unknown=-1)
-
 
 _NAME = "[^/]+"
 GROUP_PATHS = re.compile(
@@ -151,6 +150,16 @@ def checked_name(name: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name):
         raise UsageError(f"{name!r} cannot be a name in a file", expected="letters, digits, ._+-")
     return name
+
+
+def quality_codes(present: Collection[int]) -> dict[str, int]:
+    """What a file says of the codes of its column `quality`.
+
+    `policy` came later than the format: files without it keep their bytes, and their seal.
+    """
+    later = QUALITY_CODES["policy"]
+    codes = {k: v for k, v in QUALITY_CODES.items() if v != later or later in present}
+    return codes | {"unknown": -1}
 
 
 def write_text(group: h5py.Group, key: str, text: str) -> None:

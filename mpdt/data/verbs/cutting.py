@@ -26,7 +26,7 @@ class Split(Options):
     file: Annotated[Positional[str | None], arg(metavar="FILE[:SLICE]")] = None
     """File to cut; put it before --tasks."""
     quality: Annotated[str | None, arg(metavar="Q")] = None
-    """Only random, medium, expert or history."""
+    """Only random, medium, expert, history or policy."""
     tasks: Names = ()
     """Only these tasks."""
     train: bool = False

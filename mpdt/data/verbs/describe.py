@@ -85,20 +85,26 @@ def _reference(found: Reference) -> dict[str, Any]:
 def level_table(
     data: Dataset, ids: Int64 | None = None, names: tuple[str, ...] | None = None
 ) -> str:
-    """Mean return of zero action and of each quality; level of medium between the references."""
+    """Mean return of zero action and of each quality; level between the references of medium, or
+    of policy where roll-outs are all there is to ask about."""
     tasks = describe(data, ids)["tasks"]
-    heading = ("task", "role", "episodes", "zero", *QUALITY_CODES, "level", "success")
+    present = {quality for task in tasks for quality in task["returns"]}
+    shown = [name for name in QUALITY_CODES if name != "policy" or name in present]
+    asked = "medium" if "medium" in present or "policy" not in present else "policy"
+    heading = ("task", "role", "episodes", "zero", *shown, "level", "success")
     rows = []
     for task in tasks:
         if names is not None and task["name"] not in names:
             continue
         returns: Mapping[str, float] = task["returns"]
-        found = [returns.get(quality, float("nan")) for quality in QUALITY_CODES]
-        medium = level(found[1], _mean(task, "random"), _mean(task, "expert"))
+        found = [returns.get(quality, float("nan")) for quality in shown]
+        reached = level(
+            returns.get(asked, float("nan")), _mean(task, "random"), _mean(task, "expert")
+        )
         success = "-" if task["success"] is None else f"{task['success']:.2f}"
         rows.append(
             [task["name"], task["role"], f"{task['episodes']:,}", number(_mean(task, "zero")),
-             *map(number, found), number(medium, 2), success]
+             *map(number, found), number(reached, 2), success]
         )  # fmt: skip
     return text_table([heading, *rows], numbers_from=2)
 

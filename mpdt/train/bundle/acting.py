@@ -23,6 +23,7 @@ from torch import Tensor
 from mpdt.data.spec.tasks import Family
 from mpdt.errors import ShapeError, TrainingError, UsageError, unknown_name
 from mpdt.model.closed_loop import ClosedLoop
+from mpdt.model.fingerprint import fingerprint
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.returns import ReturnTable
 
@@ -124,6 +125,23 @@ class ActingPolicy:
         asked = self._asked(self._names) if targets is None else np.asarray(targets, np.float64)
         self._loop.ask(asked)  # of those that begin
         return _step(self._loop, shown, rewards, starts)
+
+    def acted(self, actions: ArrayLike) -> None:
+        """What (B, A) was done in place of what `act_batch` answered, as by added noise.
+
+        A policy that is shown its previous action is shown this one.
+        """
+        if self._loop is None:
+            raise UsageError("nobody has acted yet", where="acted", hint="act_batch comes first")
+        self._loop.acted(np.asarray(actions, np.float32))
+
+    @property
+    def fingerprint(self) -> bytes:
+        """32 bytes that change with anything that the actions of these tasks depend on.
+
+        Returns asked otherwise than the policy came with do not count: they are the caller's.
+        """
+        return fingerprint(self._policy, self._prompts, self._returns, self._window)
 
     def predict(
         self,

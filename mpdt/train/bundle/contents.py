@@ -8,12 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from math import isnan
 from typing import Any
 
 import msgspec
 import torch
 from torch import Tensor
 
+from mpdt.data.store.inherit import task_rows
+from mpdt.data.store.tables import TaskRow
 from mpdt.errors import UsageError
 from mpdt.model.backbone import Backbone, BackboneSettings
 from mpdt.model.light import parts_of, shape_of
@@ -34,6 +37,7 @@ from mpdt.train.bundle.format import (
     DataFacts,
     FamilyFacts,
     PromptSet,
+    ReferenceFacts,
     Returns,
     Statistics,
     TaskFacts,
@@ -119,10 +123,7 @@ def contents_of(
     config = BundleConfig(
         name=name,
         family=FamilyFacts.of(material.family),
-        tasks=tuple(
-            TaskFacts(name=task, role=("train", "test", "both")[role])
-            for task, role in zip(names, dataset.tasks.roles.tolist(), strict=True)
-        ),
+        tasks=tuple(_task(row) for row in task_rows(dataset)),
         prompts=tuple(
             PromptSet(name=one.name, tasks=tuple(names[row] for row in one.rows),
                       returns=_numbers(one.returns), reads=one.reads)
@@ -136,9 +137,9 @@ def contents_of(
         window=int(settings["sampler"]["window"]),
         backbone=backbone,
         data=DataFacts(
-            name=dataset.name, version=dataset.version, content_hash=dataset.content_hash,
-            slice=material.slice, quality=material.quality, horizon=material.horizon,
-            options=dict(material.options),
+            name=dataset.name, version=dataset.version, license=dataset.license,
+            content_hash=dataset.content_hash, slice=material.slice, quality=material.quality,
+            horizon=material.horizon, options=dict(material.options), spec=dict(dataset.spec),
         ),
         training=TrainingFacts(
             method=str(settings["method"]), identity=dict(identity), updates=dict(trained.steps),
@@ -173,6 +174,21 @@ def _revision(backbone: Backbone) -> str:
         except PackageNotFoundError:
             return ""
     return str(getattr(backbone.model.config, "_commit_hash", None) or "")
+
+
+def _task(row: TaskRow) -> TaskFacts:
+    known = {
+        name: ReferenceFacts(
+            mean=one.mean, error=None if isnan(one.error) else one.error, episodes=one.episodes,
+            success=one.success, source=one.source,
+        )
+        for name, one in row.references.by_name.items()
+        if one.is_known
+    }  # fmt: skip
+    return TaskFacts(
+        name=row.name, role=row.role, references=known,
+        constant_action=row.references.constant_action,
+    )  # fmt: skip
 
 
 def _numbers(table: ReturnTable) -> Returns:

@@ -22,6 +22,7 @@ from typing import Any, Literal
 import msgspec
 from torch import Tensor
 
+from mpdt.data.reference import Source
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.spec.tasks import Family
 from mpdt.model.light import ModelShape
@@ -59,11 +60,23 @@ class FamilyFacts(_Part, frozen=True, kw_only=True):
         return cls(**{name: getattr(family, name) for name in cls.__struct_fields__})
 
 
+class ReferenceFacts(_Part, frozen=True, kw_only=True):
+    """What a policy to compare with returns on a task; the fields are those of `Reference`."""
+
+    mean: float
+    error: float | None
+    episodes: int
+    success: float | None
+    source: Source
+
+
 class TaskFacts(_Part, frozen=True, kw_only=True):
     """A task of the data."""
 
     name: str
     role: Literal["train", "test", "both"]
+    references: dict[str, ReferenceFacts] = {}
+    constant_action: tuple[float, ...] = ()
 
 
 class Returns(_Part, frozen=True, kw_only=True):
@@ -117,11 +130,14 @@ class DataFacts(_Part, frozen=True, kw_only=True):
 
     name: str
     version: str
+    license: str
     content_hash: str
     slice: str | None
     quality: str
     horizon: int
     options: dict[str, float | bool]
+    spec: dict[str, Any]
+    """What made the data; episodes of this policy are made to stand beside it."""
 
 
 class TrainingFacts(_Part, frozen=True, kw_only=True):

@@ -11,7 +11,7 @@ action and a study's own idea are judged by the same function on the same seeds.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Literal
 
@@ -19,10 +19,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.data.episode import UNKNOWN_PROGRESS, Episode
 from mpdt.data.sim.actors import Actor, Rows
 from mpdt.data.sim.batch import BatchEnv, roll_out
+from mpdt.data.sim.play import Record
 from mpdt.data.sim.simulators import make_batch
-from mpdt.errors import TrainingError, check_at_least
+from mpdt.errors import TrainingError
+from mpdt.model.limits import check_at_least
 from mpdt.seeding import Quality, SeedKey
 
 if TYPE_CHECKING:
@@ -71,6 +74,18 @@ class Evaluation:
     successes: NDArray[np.bool_] | None  # (n, E) any step successful; None where undefined
 
 
+@dataclass
+class Kept:
+    """Episodes of an evaluation as data would hold them.
+
+    Args:
+        policy: hash of who acts.
+    """
+
+    policy: bytes
+    episodes: list[Episode] = field(default_factory=list)
+
+
 class SimulatorCache:
     """Keeps the last batch of simulators: building Meta-World ones takes longer than a reset."""
 
@@ -101,6 +116,7 @@ def evaluate(
     on_progress: Callable[[int, int], None] | None = None,
     make: Make = make_batch,
     goal_key: Callable[[SeedKey], SeedKey] = lambda key: key,
+    kept: Kept | None = None,
 ) -> Evaluation:
     """Run `episodes` episodes of every task and add up the rewards.
 
@@ -112,6 +128,7 @@ def evaluate(
         on_progress: called with (steps done, steps in all) once per simulated step.
         make: builds the simulators; hand in `SimulatorCache().make` to build them once.
         goal_key: what an episode's goal is drawn from, given the episode's own key.
+        kept: gains every episode, task by task; their returns are those of the result.
     Raises: TrainingError if the actor's actions are not finite numbers.
     """
     n, E = len(tasks), episodes
@@ -129,7 +146,9 @@ def evaluate(
         ]
         at = np.array(chunk).T
         actor.begin(Rows(keys, horizon=horizon, tasks=at[0]))  # its goal is what it has to find
-        first = env.reset(keys, env.draw_goals([goal_key(key) for key in keys]))
+        goals = env.draw_goals([goal_key(key) for key in keys])
+        first = env.reset(keys, goals)
+        record = kept and Record.of(first, env.action_size, horizon, family.hidden_columns)
         choose = partial(_choose, actor, env, family, chunk)
         for rolled in roll_out(env, first, choose, horizon):
             running, result = rolled.running, rolled.result
@@ -139,8 +158,15 @@ def evaluate(
             lengths[at[0], at[1]] += running
             if result.successes is not None:
                 successes[at[0], at[1]] |= result.successes & running
+            if record:
+                record.add(rolled)
             if on_progress:
                 on_progress(number * horizon + rolled.step + 1, len(chunks) * horizon)
+        if kept and record:
+            kept.episodes += [
+                record.episode(row, key, goals[row], kept.policy, Quality.POLICY, UNKNOWN_PROGRESS)
+                for row, key in enumerate(keys)
+            ]
     names = tuple(task.name for task in tasks)
     return Evaluation(names, returns, lengths, successes if has_success else None)
 

@@ -115,8 +115,8 @@ def load_material(ref: str, quality: str) -> Material:
     """Open `FILE` or `FILE:slice` and choose the episodes to train on.
 
     Args:
-        quality: random, medium, expert, history; `all`; `auto` = expert where there is some,
-            else the only quality present (a cut-out such as ml10-medium.h5).
+        quality: random, medium, expert, history, policy; `all`; `auto` = expert where there is
+            some, else the only quality present (a cut-out such as ml10-medium.h5).
     Raises: UsageError for unknown names; DataError if a training task has no such episode or
         the file has no statistics; whatever `open_dataset` raises.
     """

@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 
-from mpdt.disk import disk, sync
 from mpdt.errors import FormatError, StorageError
 
 
@@ -50,18 +49,10 @@ class MetricsLog:
         except OSError as error:
             raise StorageError(f"cannot write: {error.strerror}", where=str(self.path)) from error
 
-    def sync(self) -> None:
-        """Onto the disk itself, before a checkpoint says how long it is. Raises: StorageError."""
-        if self.path.exists():
-            with disk(self.path):
-                sync(self.path)
-
     def cut(self, size_bytes: int) -> None:
-        """Forget every line behind the first `size_bytes`. Raises: StorageError."""
+        """Forget every line behind the first `size_bytes`."""
         if self.size_bytes > size_bytes:
-            with disk(self.path):
-                os.truncate(self.path, size_bytes)
-            self.sync()
+            os.truncate(self.path, size_bytes)
 
     def records(self) -> list[dict[str, Any]]:
         """All lines; a last one that a kill cut off is left out.

@@ -34,7 +34,8 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     seed: int = 0
     """Root of all random numbers of training and adaptation."""
     quality: str = "auto"
-    """Episodes to train on: random, medium, expert, history, all; auto = expert or the only one."""
+    """Episodes to train on: random, medium, expert, history, policy, all; auto = expert or the only
+    one."""
     threads: int = 1
     """Threads of torch; 0 = all cores. Another number may change the last bits.
 

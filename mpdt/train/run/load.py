@@ -43,7 +43,7 @@ def load_policy(
         TrainingError or FormatError for weights of other data or settings, and for a bundle that
         is not as it was written; as `open_dataset`; RemoteError.
     """
-    folder = _folder(run)
+    folder = local_folder(run)
     found = next((one for one in (folder, folder / "policy") if is_bundle(one)), None)
     if found is not None and data is None and not callable(start):
         config = read_config(found)
@@ -64,7 +64,8 @@ def load_policy(
     return policy_of_run(RunFolder(folder), task, data, start)
 
 
-def _folder(run: Path | str) -> Path:
+def local_folder(run: Path | str) -> Path:
+    """Where a bundle or run lies here; an address is fetched. Raises: RemoteError."""
     if "://" not in str(run):
         return Path(run)
     from mpdt.train.bundle.travel import fetched

@@ -12,8 +12,7 @@ from mpdt.train.study.study import Places, run_study
 
 from .command import QUICK, call
 
-# The file once more beside the work: what the simulator paid in X is proven, and never trained on.
-ONCE = {"file": 2, "settings": 1, "identity": 1, "backbone": 1}
+ONCE = {"file": 1, "settings": 1, "identity": 1, "backbone": 1}
 
 
 @pytest.fixture
