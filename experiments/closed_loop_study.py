@@ -18,6 +18,9 @@ import sys
 import time
 from pathlib import Path
 
+from mpdt.draw.table import markdown_line, markdown_table
+
+COLUMNS = ("variant", "action loss", "mean", "worst task", "s")
 METHOD = "MPDT"
 VARIANTS: dict[str, list[str]] = {
     "no-return": [],
@@ -61,14 +64,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="*", choices=sorted(VARIANTS), default=list(VARIANTS))
     args = parser.parse_args()
-    print("| variant | action loss | mean | worst task | s |\n|---|---|---|---|---|")
+    print(markdown_table(COLUMNS, []), flush=True)
     for name in args.only:
         folder, seconds = run(args.data, name, VARIANTS[name], args.steps, args.threads, args.seed)
-        print(row(name, folder, seconds), flush=True)
+        print(markdown_line(row(name, folder, seconds)), flush=True)
 
 
-def row(name: str, folder: Path, seconds: float) -> str:
-    """One line of the table from a finished run."""
+def row(name: str, folder: Path, seconds: float) -> tuple[str, ...]:
+    """What a finished run has for `COLUMNS`."""
     results = json.loads((folder / "results.json").read_text())
     losses = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     loss = [entry["action_loss"] for entry in losses if "action_loss" in entry][-1]
@@ -78,10 +81,8 @@ def row(name: str, folder: Path, seconds: float) -> str:
         if score["block"] == "train" and score["method"] == METHOD
     }
     worst = min((value, task) for task, value in scores.items() if task != "mean")
-    return (
-        f"| {name} | {loss:.4f} | {scores['mean']:.2f} | {worst[0]:.2f} ({worst[1]}) "
-        f"| {seconds:.0f} |"
-    )
+    return (name, f"{loss:.4f}", f"{scores['mean']:.2f}", f"{worst[0]:.2f} ({worst[1]})",
+            f"{seconds:.0f}")  # fmt: skip
 
 
 if __name__ == "__main__":

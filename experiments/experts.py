@@ -25,7 +25,9 @@ from mpdt.data.sim.metaworld import MetaworldEnv, quiet
 from mpdt.data.sim.scripts import Expert, corrections_of
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.workers.processes import map_blocks
+from mpdt.draw.table import markdown_line, markdown_table
 
+COLUMNS = ("task", "expert", "return 500", "return 200", "success", "at the last step")
 HORIZON, SHORT = 500, 200  # steps
 FIRST_GOAL = 70_000
 
@@ -83,16 +85,15 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     rows: list[Row] = []
-    print("| task | expert | return 500 | return 200 | success | at the last step |")
-    print("|---|---|---|---|---|---|", flush=True)
+    print(markdown_table(COLUMNS, []), flush=True)
     for pair in map_blocks(partial(compare, args.goals), args.tasks, args.workers):
         for row in pair:
             rows.append(row)
-            print(
-                f"| {row.task} | {row.expert} | {row.return_500:.0f} ± {row.error_500:.0f} "
-                f"| {row.return_200:.0f} | {row.success:.2f} | {row.success_last:.2f} |",
-                flush=True,
-            )
+            cells = (
+                row.task, row.expert, f"{row.return_500:.0f} ± {row.error_500:.0f}",
+                f"{row.return_200:.0f}", f"{row.success:.2f}", f"{row.success_last:.2f}",
+            )  # fmt: skip
+            print(markdown_line(cells), flush=True)
         if args.json:
             args.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
 

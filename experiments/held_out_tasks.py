@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from trained import SEED, open_run
 
+from mpdt.draw.table import markdown_table
 from mpdt.errors import MpdtError
 from mpdt.seeding import phase_seed
 from mpdt.train.adapt.candidates import Candidates
@@ -74,13 +75,14 @@ def main() -> None:
         tasks, found = returns_of(args.run, args.data, args.tasks, args.episodes)
     except MpdtError as error:
         sys.exit(error.render())
-    print("| prompt of | mean return | 95 % interval over tasks | worst |\n|---|---|---|---|")
+    rows = []
     for name, returns in found.items():
         # Tasks stand for the runs of one table column: they are what is resampled.
         low, high = stratified_interval(returns[:, None], mean)
         worst = int(returns.argmin())
-        print(f"| {name} | {returns.mean():.1f} | [{low:.1f}, {high:.1f}] "
-              f"| {tasks[worst]} {returns[worst]:.1f} |")  # fmt: skip
+        rows.append((name, f"{returns.mean():.1f}", f"[{low:.1f}, {high:.1f}]",
+                     f"{tasks[worst]} {returns[worst]:.1f}"))  # fmt: skip
+    print(markdown_table(("prompt of", "mean return", "95 % interval over tasks", "worst"), rows))
     if args.json:
         content = {
             "run": args.run.name,

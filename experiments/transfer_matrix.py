@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from trained import SEED, open_run
 
+from mpdt.draw.table import markdown_table
 from mpdt.errors import MpdtError
 from mpdt.train.adapt.candidates import Candidates
 from mpdt.train.evaluate.rollout import Evaluation, SimulatorCache, evaluate
@@ -73,12 +74,11 @@ def main() -> None:
     each = np.arange(len(tasks))
     lines = [*zip(names, returns, shares, strict=True),
              ("best in hindsight", returns[best, each], shares[best, each])]  # fmt: skip
-    print(
-        "| prompt of | " + " | ".join([*tasks, "mean"]) + " |\n" + "|---" * (len(tasks) + 2) + "|"
-    )
-    for name, row, share in lines:
-        cells = [_cell(*pair) for pair in zip(row, share, strict=True)]
-        print(f"| {name} | " + " | ".join([*cells, _cell(row.mean(), share.mean())]) + " |")
+    rows = [
+        (name, *map(_cell, row, share), _cell(row.mean(), share.mean()))
+        for name, row, share in lines
+    ]
+    print(markdown_table(("prompt of", *tasks, "mean"), rows))
     if args.json:
         prompts = {
             name: {"returns": row.round(1).tolist(), "successes": np.round(share, 3).tolist()}

@@ -10,8 +10,8 @@
     ├── StorageError                1   the disk refused: full, read-only, no permission
     ├── RemoteError                 1   the other side refused, or the connection broke
     ├── SimulatorError              3   simulator missing or of another version
-    ├── BusyError                   4   another collector holds the target
-    ├── BackboneError               2   language model unknown or unreachable
+    ├── BusyError                   4   another process writes the target
+    ├── BackboneError               2   language model unknown, unreachable or not whole
     └── TrainingError               1   training cannot go on (NaN, mismatched checkpoint)
 
 Every class also derives from the builtin a library user would catch. Mistakes of our own
@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import shlex
 from collections.abc import Iterable
 from pathlib import PurePath
@@ -171,3 +172,17 @@ def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") ->
     known = sorted(known)
     what = " ".join(part for part in (f"unknown {kind} '{name}'", nearest(name, known)) if part)
     return UsageError(what, where=where, hint=f"known: {', '.join(known)}")
+
+
+def check_at_least(where: str, value: float, least: float) -> None:
+    """For settings. Raises: UsageError unless `value` is finite and at least `least`."""
+    if not (math.isfinite(value) and value >= least):
+        raise UsageError("setting out of range", where=where, expected=f"at least {least}",
+                         found=str(value))  # fmt: skip
+
+
+def check_above_zero(where: str, value: float) -> None:
+    """For settings. Raises: UsageError unless `value` is finite and above 0."""
+    if not (math.isfinite(value) and value > 0):
+        raise UsageError("setting out of range", where=where, expected="above 0",
+                         found=str(value))  # fmt: skip

@@ -31,6 +31,31 @@ def test_files_are_small_and_named_after_a_noun(path: Path) -> None:
         assert ast.get_docstring(ast.parse(text)), "a module says what it is"
 
 
+def lost_paths(page: str) -> list[str]:
+    """Paths in `page` that lead nowhere; a name alone lies where the one before it does."""
+    lost = []
+    for line in page.splitlines():
+        folders = [ROOT, *(ROOT / name for name in ("mpdt", "mpdt/data", "mpdt/train"))]
+        for name in re.findall(r"`([\w./]+(?:/|\.(?:py|svg|json|md)))`", line):
+            found = [folder / name for folder in folders if (folder / name).exists()]
+            lost += [] if found else [name]
+            folders += [found[0] if name.endswith("/") else found[0].parent] if found else []
+    return lost
+
+
+def test_the_map_names_every_folder_and_nothing_that_is_gone() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    tree = page.split("```")[1]
+    folders = {path.parent.name for path in SOURCES} - {"mpdt"}
+    assert not [name for name in sorted(folders) if f"{name}/" not in tree]
+    there = {*ROOT.iterdir(), *(ROOT / "benchmarks").iterdir(), *(ROOT / "mpdt").rglob("*/")}
+    assert not set(re.findall(r"(\w+)/", tree)) - {path.name for path in there}
+    assert not lost_paths(page)
+    assert lost_paths("`data/gone.py`, `data/sim/play.py`, `batch.py`, `none.py`") == [
+        "data/gone.py", "none.py"
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("module", ["mpdt.data.cli", "mpdt.train.cli"])
 def test_help_imports_nothing_heavy(module: str) -> None:
     code = (

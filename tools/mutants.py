@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import os
 import queue
 import re
@@ -24,6 +25,7 @@ import sys
 import tempfile
 import time
 import tomllib
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +40,11 @@ FOLDERS = (
     "mpdt/data/verify", "mpdt/data/exchange",
 )  # fmt: skip
 """Every file here should have a break."""
+CONTEXT = multiprocessing.get_context("forkserver")
+CONTEXT.set_forkserver_preload([
+    "torch", "transformers.models.gpt2.modeling_gpt2", "transformers.models.llama.modeling_llama",
+    "h5py", "mujoco", "gymnasium", "pyarrow.parquet", "pytest",
+])  # fmt: skip
 NOTICED, SURVIVED, HANGS = "noticed", "survived", "hangs"
 
 
@@ -89,22 +96,46 @@ def copy_tree(target: Path) -> Path:
     return target
 
 
-def run_tests(tree: Path, tests: tuple[str, ...]) -> tuple[int | None, str]:
+def run_tests(tree: Path, tests: Sequence[str]) -> tuple[int | None, str]:
     """pytest's exit code and output; None after LIMIT_S.
 
-    Bytecode is not kept: a break may leave a file's size and second as they were.
+    In a process forked off one that has the large libraries: importing them anew takes longer than
+    most tests.
     """
-    command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", "--tb=no", "-rfE"]
-    environment = os.environ | {
-        "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1",
-        "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1",
-    }  # fmt: skip
-    try:
-        done = subprocess.run([*command, *tests], cwd=tree, env=environment, timeout=LIMIT_S,
-                              capture_output=True, text=True, check=False)  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return None, ""
-    return done.returncode, done.stdout + done.stderr
+    with tempfile.NamedTemporaryFile("r") as output:
+        child = CONTEXT.Process(target=_pytest, args=(str(tree), [*tests], output.name))
+        child.start()
+        child.join(LIMIT_S)
+        if child.is_alive():
+            child.kill()
+            child.join()
+            return None, ""
+        return child.exitcode, output.read()
+
+
+def _pytest(tree: str, tests: list[str], output: str) -> None:
+    """In the child. Keeps no bytecode: a break may leave a file's size and second as they were."""
+    os.chdir(tree)
+    sys.path.insert(0, tree)
+    sys.dont_write_bytecode = True
+    os.environ |= {"PYTHONPATH": tree, "PYTHONDONTWRITEBYTECODE": "1"}
+    with Path(output).open("w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+        import pytest
+
+        options = [
+            "-x",
+            "-p",
+            "no:cacheprovider",
+            "--tb=no",
+            "-rfE",
+            "-W",
+            "ignore::pytest.PytestAssertRewriteWarning",
+        ]  # plugins are loaded already
+        code = int(pytest.main([*options, *tests]))
+        sys.stdout.flush()
+        os._exit(code)
 
 
 def try_break(one: Break, tree: Path) -> dict[str, Any]:
@@ -115,37 +146,40 @@ def try_break(one: Break, tree: Path) -> dict[str, Any]:
         code, text = run_tests(tree, one.tests)
     finally:
         (tree / one.file).write_text(before)
-    if code not in (None, 0, 1):
-        raise SystemExit(f"{one.file}: pytest ended with {code}: {one.new!r}\n{text[-2000:]}")
     by = re.search(r"^(?:FAILED|ERROR) (\S+)", text, re.MULTILINE)
+    if code not in (None, 0, 1) or (code == 1 and by is None):
+        raise SystemExit(f"{one.file}: pytest ended with {code}: {one.new!r}\n{text[-2000:]}")
     outcome = HANGS if code is None else NOTICED if code else SURVIVED
     return {
         "file": one.file, "old": one.old, "new": one.new, "outcome": outcome,
-        "by": by[1].partition("[")[0] if code and by else "",
+        "by": by[1].partition("[")[0] if by else "",
         "seconds": round(time.monotonic() - began, 1),
     }  # fmt: skip
 
 
+def check_unbroken(breaks: list[Break]) -> None:
+    """Raises: SystemExit if a test of these breaks fails without any."""
+    tests = dict.fromkeys(test for one in breaks for test in one.tests)
+    with tempfile.TemporaryDirectory() as name:
+        code, text = run_tests(copy_tree(Path(name)), list(tests))
+    if code != 0:
+        raise SystemExit(f"the tests fail without a break: {code}\n{text[-3000:]}")
+
+
 def try_all(breaks: list[Break], jobs: int) -> list[dict[str, Any]]:
-    """All of them, in the order of the list. Raises: SystemExit if the tests fail unbroken."""
-    every = dict.fromkeys(test for one in breaks for test in one.tests)
+    """What became of each, in the order of the list."""
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(jobs) as pool:
         trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
         for number in range(jobs):
             trees.put(copy_tree(Path(name) / str(number)))
 
-        def attempt(one: Break | None) -> dict[str, Any]:
+        def attempt(one: Break) -> dict[str, Any]:
             tree = trees.get()
             try:
-                if one is not None:
-                    return try_break(one, tree)
-                code, text = run_tests(tree, tuple(every))
-                return {} if code == 0 else {"failed": text}
+                return try_break(one, tree)
             finally:
                 trees.put(tree)
 
-        if failed := pool.submit(attempt, None).result().get("failed"):
-            raise SystemExit(f"the tests fail without a break\n{failed[-3000:]}")
         found = []
         for result in pool.map(attempt, breaks):
             print(f"{result['outcome']:<9} {result['file']}  {result['by']}", flush=True)
@@ -161,9 +195,11 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     breaks = read_list()
     chosen = [one for one in breaks if options.only in one.file]
     began = time.monotonic()
+    check_unbroken(chosen)
     found = try_all(chosen, options.jobs)
     survivors = [one for one in found if one["outcome"] == SURVIVED]
     report = {

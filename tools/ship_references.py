@@ -17,7 +17,7 @@ import msgspec
 
 from mpdt.data.sim.measure import PRECISION, RULE
 from mpdt.data.sim.portions import expert_ladder, kind_of
-from mpdt.data.sim.references import (
+from mpdt.data.sim.record import (
     Entry,
     Place,
     constant_names,

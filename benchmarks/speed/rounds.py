@@ -11,7 +11,6 @@ ends with `rounds.main(...)`, which starts it anew with one BLAS thread if it ha
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import io
 import json
 import multiprocessing
@@ -26,6 +25,8 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+from mpdt.version import installed
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results" / "bench"
@@ -153,13 +154,7 @@ def cores() -> int:
 
 
 def versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
+    return {"python": platform.python_version()} | installed(PACKAGES)
 
 
 def scratch() -> Path:
@@ -180,12 +175,10 @@ def without_output() -> Iterator[None]:
 
 def have(package: str) -> bool:
     """Whether a peer is installed; without it its rows are left out."""
-    try:
-        importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        print(f"({package} is not installed: left out)")
-        return False
-    return True
+    if installed([package]):
+        return True
+    print(f"({package} is not installed: left out)")
+    return False
 
 
 @contextmanager

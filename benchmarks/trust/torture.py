@@ -74,7 +74,7 @@ class Attempt:
         return "blocks" if any(parts.glob("blocks/*.npz")) else "start"
 
     def packing(self) -> bool:
-        return any(self.target.parent.glob("torture.h5*.tmp*"))
+        return any(self.target.parent.glob(".torture.h5.*.tmp"))
 
     def wait(self, seconds: float, until_pack: bool) -> bool:
         """Wait so long, or until the pack begins; False if it ended by itself."""

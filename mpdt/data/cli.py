@@ -4,7 +4,7 @@ Each verb is a frozen dataclass under `verbs`, its fields are the options. Nothi
 imported before a verb runs, so that help is quick.
 
 Exit codes: 0 done or nothing to do, 1 data wrong or disk refused, 2 usage or spec, 3 simulator,
-4 another collector holds the target, 130 / 143 interrupted by Ctrl-C / SIGTERM.
+4 another process writes the target, 130 / 143 interrupted by Ctrl-C / SIGTERM.
 """
 
 from __future__ import annotations
@@ -13,15 +13,13 @@ import inspect
 import io
 import os
 import shlex
-import signal
 import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
 from itertools import pairwise
-from types import FrameType
-from typing import Annotated, Any, Literal, NoReturn, Union
+from typing import Annotated, Any, Literal, Union
 
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg, subcommand
@@ -33,12 +31,13 @@ from mpdt.data.verbs.editing import Diff, Drop, Merge
 from mpdt.data.verbs.exchange import Export, Import
 from mpdt.data.verbs.look import Info, List, Show
 from mpdt.data.verbs.make import Calibrate, Collect, Plans, Pretrain
-from mpdt.data.verbs.measure import Measure
 from mpdt.data.verbs.options import Options
 from mpdt.data.verbs.pages import Report, View
+from mpdt.data.verbs.reference import Reference
 from mpdt.data.verbs.remote import Pull, Push
 from mpdt.data.verbs.trust import Lock, Verify
 from mpdt.errors import MpdtError, UsageError, unknown_name, visible
+from mpdt.interruption import Interrupted, interruptible
 from mpdt.pipe import reader_may_leave
 
 VERBS: dict[str, type[Options]] = {
@@ -57,7 +56,7 @@ VERBS: dict[str, type[Options]] = {
     "pull": Pull,
     "pretrain": Pretrain,
     "calibrate": Calibrate,
-    "reference": Measure,
+    "reference": Reference,
     "verify": Verify,
     "report": Report,
     "view": View,
@@ -75,10 +74,6 @@ Examples:
 """
 
 
-class Terminated(BaseException):
-    """SIGTERM. Not an Exception, so that nothing but `main` catches it."""
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `mpdt-data` with `argv` (default: the process's) and return its exit code."""
     with reader_may_leave():
@@ -88,20 +83,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _answer(argv: Sequence[str] | None) -> int:
     words = hide(sys.argv[1:] if argv is None else argv)  # no password reaches a message
-    before = signal.signal(signal.SIGTERM, _terminate)
     try:
-        _parse(words).run()
+        with interruptible():
+            _parse(words).run()
     except MpdtError as error:
         if "-v" in words or "--verbose" in words:
             traceback.print_exc()
         sys.stderr.write(error.render() + "\n")
         return error.exit_code
-    except KeyboardInterrupt:
-        return _interrupted(words, 130)
-    except Terminated:
-        return _interrupted(words, 143)
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    except Interrupted as stop:
+        again = [word for word in words if word != "--restart"]
+        hint = visible(f"interrupted; go on with: mpdt-data {shlex.join(again)}")
+        sys.stderr.write(hint + "\n")
+        return stop.exit_code
     return 0
 
 
@@ -181,16 +175,6 @@ class Completion(Options):
 
 
 VERBS["completion"] = Completion
-
-
-def _terminate(signum: int, frame: FrameType | None) -> NoReturn:
-    raise Terminated
-
-
-def _interrupted(words: Sequence[str], code: int) -> int:
-    again = [word for word in words if word != "--restart"]
-    sys.stderr.write(visible(f"interrupted; go on with: mpdt-data {shlex.join(again)}") + "\n")
-    return code
 
 
 if __name__ == "__main__":

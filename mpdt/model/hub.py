@@ -10,14 +10,14 @@ The hub's own client retries for half a minute and writes a page; here one line 
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import re
-import threading
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+
+import msgspec
 
 from mpdt.errors import BackboneError, nearest
 
@@ -28,26 +28,31 @@ _HUB_ID = re.compile(r"\w[\w.-]*(/\w[\w.-]*)?")
 _WEIGHTS, _INDEX = "model.safetensors", "model.safetensors.index.json"
 
 
+class _Index(msgspec.Struct):
+    weight_map: dict[str, str]
+
+
 class UnreachableError(BackboneError):
     """Neither cached nor to be had from the host just now; another model may do."""
 
 
-def is_local(name: str, known: list[str]) -> bool:
-    """Whether everything is on this machine; False means the host has it, or may have.
+def local_folder(name: str, known: list[str]) -> Path | None:
+    """The folder that holds everything on this machine; None: the host has it, or may have.
 
     Args:
         known: names to suggest where `name` is none.
     Raises: BackboneError for what can be neither a folder nor a hub id; UnreachableError.
     """
     if Path(name).is_dir():
-        return True
+        return Path(name)
     if not _HUB_ID.fullmatch(name):
         raise BackboneError(
             "no such folder", where=name, expected="a folder, a hub id or a known name",
             hint=f"known: {', '.join(known)}",
         )  # fmt: skip
-    if _is_cached(name):
-        return True
+    folder = _cached(name)
+    if folder is not None:
+        return folder
     from huggingface_hub import constants
 
     if constants.HF_HUB_OFFLINE:
@@ -55,7 +60,7 @@ def is_local(name: str, known: list[str]) -> bool:
     if not _answers(f"{constants.ENDPOINT}/{name}/resolve/main/config.json"):
         raise unreachable(name, f"no answer from {constants.ENDPOINT}", known)
     _log.warning("downloading %s from %s", name, constants.ENDPOINT)
-    return False
+    return None
 
 
 def unreachable(name: str, found: str, known: list[str]) -> UnreachableError:
@@ -70,45 +75,44 @@ def unreachable(name: str, found: str, known: list[str]) -> UnreachableError:
     )
 
 
-def _is_cached(name: str) -> bool:
-    """Configuration and all weights; a download broken off half-way is not."""
+def _cached(name: str) -> Path | None:
+    """Where configuration and all weights lie; a download broken off half-way is not all."""
     from huggingface_hub import try_to_load_from_cache
 
     def path(file: str) -> Path | None:
         found = try_to_load_from_cache(name, file)
         return Path(found) if isinstance(found, str) else None
 
-    if path("config.json") is None:
-        return False
-    index = path(_INDEX)
-    if path(_WEIGHTS) is not None or index is None:
-        return path(_WEIGHTS) is not None
-    shards = set(json.loads(index.read_text(encoding="utf-8"))["weight_map"].values())
-    return all(path(shard) is not None for shard in shards)
+    config, index = path("config.json"), path(_INDEX)
+    if config is None:
+        return None
+    whole = path(_WEIGHTS) is not None
+    if not whole and index is not None:
+        whole = all(path(shard) is not None for shard in _shards(index))
+    return config.parent if whole else None
+
+
+def _shards(index: Path) -> set[str]:
+    """The files an index names. Raises: BackboneError for what is none."""
+    try:
+        read = msgspec.json.decode(index.read_bytes(), type=_Index)
+    except (OSError, msgspec.MsgspecError, RecursionError) as error:
+        raise BackboneError("not an index of weights", where=str(index), found=str(error),
+                            hint="delete it, and download the model again") from error  # fmt: skip
+    return set(read.weight_map.values())
 
 
 def _answers(url: str) -> bool:
-    """One request, given up after `_PROBE_S` whatever the name look-up does.
-
-    A refusal is an answer: what is missing or needs a token, the hub's client knows better.
-    """
-    answered = threading.Event()
-
-    def ask() -> None:
-        try:
-            request = urllib.request.Request(url, method="HEAD")
-            with urllib.request.urlopen(request, timeout=_PROBE_S):
-                answered.set()
-        except urllib.error.HTTPError as error:
-            if error.code < 500:
-                answered.set()
-        except (OSError, ValueError) as error:
-            _log.debug("%s does not answer: %s", url, error)
-
-    thread = threading.Thread(target=ask, daemon=True)
-    thread.start()
-    thread.join(_PROBE_S)
-    return answered.is_set()
+    """One request. A refusal is an answer: what is missing, the hub's client knows better."""
+    try:
+        request = urllib.request.Request(url, method="HEAD")
+        with urllib.request.urlopen(request, timeout=_PROBE_S):
+            return True
+    except urllib.error.HTTPError as error:
+        return error.code < 500
+    except (OSError, ValueError) as error:
+        _log.debug("%s does not answer: %s", url, error)
+        return False
 
 
 @contextlib.contextmanager

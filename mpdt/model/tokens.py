@@ -19,8 +19,14 @@ import torch.nn.functional as F
 from einops import rearrange
 from torch import Tensor, nn
 
-from mpdt.errors import BackboneError, ShapeError, SpecError, UsageError
-from mpdt.model.limits import check_above_zero, check_at_least
+from mpdt.errors import (
+    BackboneError,
+    ShapeError,
+    SpecError,
+    UsageError,
+    check_above_zero,
+    check_at_least,
+)
 from mpdt.seeding import layers_from, torch_generator
 
 STD_FLOOR = 1e-6  # Prompt-DT's; keeps columns that never move from dividing by zero

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-import time
+import socket
 import urllib.error
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,7 +16,7 @@ import torch
 
 from mpdt.errors import BackboneError
 from mpdt.model import hub, language
-from mpdt.model.backbone import load_backbone
+from mpdt.model.backbone import BackboneSettings, load_backbone
 
 
 def cache(monkeypatch: pytest.MonkeyPatch, folder: Path, files: Iterable[str]) -> None:
@@ -96,7 +96,17 @@ def test_only_a_whole_download_counts_as_cached(
     }
     for files, cached in whole.items():
         cache(monkeypatch, tmp_path, files)
-        assert hub._is_cached("gpt2") is cached, files
+        assert (hub._cached("gpt2") is not None) is cached, files
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"weight_map": []}', "[" * 2000, '{"weight_map": {"a": 1}}']
+)
+def test_an_index_that_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str) -> None:
+    (tmp_path / "model.safetensors.index.json").write_text(text)
+    cache(monkeypatch, tmp_path, ("config.json", "model.safetensors.index.json"))
+    with pytest.raises(BackboneError, match="not an index of weights"):
+        load_backbone("gpt2")
 
 
 def test_what_is_cached_is_read_without_the_network(
@@ -104,7 +114,7 @@ def test_what_is_cached_is_read_without_the_network(
 ) -> None:
     cache(monkeypatch, tmp_path, ("config.json", "model.safetensors"))
     asked = silent(monkeypatch)
-    assert hub.is_local("gpt2", []) is True and not asked
+    assert hub.local_folder("gpt2", []) == tmp_path and not asked
 
 
 class HalfWayError(Exception):
@@ -116,41 +126,27 @@ def break_off(*_args: Any, **_options: Any) -> Any:
 
 
 @pytest.mark.usefixtures("nothing_cached")
-@pytest.mark.parametrize("answers", [False, True])
-def test_auto_does_without_gpt2(monkeypatch: pytest.MonkeyPatch, answers: bool) -> None:
-    """Nobody answers, or the download breaks off half-way."""
-    monkeypatch.setattr(hub, "_answers", lambda url: answers)
+def test_a_download_that_breaks_off_is_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hub, "_answers", lambda url: True)
     monkeypatch.setattr("transformers.AutoConfig.from_pretrained", break_off)
+    with pytest.raises(BackboneError, match="connection closed after 12 bytes"):
+        load_backbone("gpt2")
+
+
+def test_the_default_asks_no_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor does `auto`, the word that settings of before have for it."""
+    asked = silent(monkeypatch)
     monkeypatch.setattr(language, "_smollm2", lambda depth, dtype: "shipped")
-    found = language.read_language_model("auto", None, torch.float32, 0)
-    assert found == ("smollm2-135m", "shipped")
-    if answers:
-        with pytest.raises(BackboneError, match="connection closed after 12 bytes"):
-            load_backbone("gpt2")
+    for name in (BackboneSettings().name, "auto"):
+        found = language.read_language_model(name, None, torch.float32, 0)
+        assert found == ("smollm2-135m", "shipped")
+    assert not asked
 
 
-def test_auto_takes_gpt2_and_keeps_its_mistakes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An impossible depth is the user's: it must not silently become another model."""
-    monkeypatch.setattr(language, "_from_hub", lambda name, depth: name)
-    assert language.read_language_model("auto", None, torch.float32, 0) == ("gpt2", "gpt2")
-
-    def refuse(name: str, depth: int) -> None:
-        raise BackboneError("impossible depth")
-
-    monkeypatch.setattr(language, "_smollm2", lambda depth, dtype: "another model")
-    monkeypatch.setattr(language, "_from_hub", refuse)
-    with pytest.raises(BackboneError, match="impossible depth"):
-        language.read_language_model("auto", 99, torch.float32, 0)
-
-
-def test_a_hanging_host_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    def hang(*_args: Any, **_options: Any) -> None:
-        time.sleep(1.0)
-        raise OSError
-
-    monkeypatch.setattr(hub.urllib.request, "urlopen", hang)
+def test_a_host_that_never_answers_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hub, "_PROBE_S", 0.05)
-    assert hub._answers("http://localhost:9/x") is False
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        assert hub._answers(f"http://127.0.0.1:{mute.getsockname()[1]}/x") is False
 
 
 @pytest.mark.parametrize(("code", "answers"), [(404, True), (401, True), (503, False)])

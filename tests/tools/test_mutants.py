@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
+import multiprocessing
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -12,22 +14,20 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
-def load() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("mutants", ROOT / "tools/mutants.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["mutants"] = module  # its dataclasses look themselves up
-    spec.loader.exec_module(module)
-    return module
+@pytest.fixture(scope="module")
+def mutants() -> Iterator[ModuleType]:
+    """The script, under its own name: processes look for what they shall do by that."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT / "tools")
+        module = importlib.import_module("mutants")
+        patch.setattr(module, "CONTEXT", multiprocessing.get_context("spawn"))  # no large library
+        yield module
+        del sys.modules["mutants"]
 
 
-MUTANTS = load()
-BREAKS = MUTANTS.read_list()
-
-
-def test_every_break_fits_its_file_and_still_compiles() -> None:
+def test_every_break_fits_its_file_and_still_compiles(mutants: ModuleType) -> None:
     """Else: say in tools/mutants.toml what the line says now, or break another one."""
-    for one in BREAKS:
+    for one in mutants.read_list():
         text = (ROOT / one.file).read_text()
         assert text.count(one.old) == 1, f"{one.file}: {one.old!r}"
         assert one.new != one.old and one.tests, f"{one.file}: {one.old!r}"
@@ -47,21 +47,27 @@ def tree(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_who_notices_is_named_and_the_file_is_mended(tree: Path) -> None:
+def test_who_notices_is_named_and_the_file_is_mended(mutants: ModuleType, tree: Path) -> None:
     """The same break twice: with a test that looks at it and without."""
-    noticed = MUTANTS.Break("shop.py", "= 1,", "= 3,", ("test_shop.py",))
-    found = MUTANTS.try_break(noticed, tree)
+    noticed = mutants.Break("shop.py", "= 1,", "= 3,", ("test_shop.py",))
+    found = mutants.try_break(noticed, tree)
     assert (found["outcome"], found["by"]) == ("noticed", "test_shop.py::test_x")
-    survived = MUTANTS.Break("shop.py", ", 2", ", 3", ("test_shop.py",))
-    assert MUTANTS.try_break(survived, tree)["outcome"] == "survived"
+    survived = mutants.Break("shop.py", ", 2", ", 3", ("test_shop.py",))
+    assert mutants.try_break(survived, tree)["outcome"] == "survived"
     assert (tree / "shop.py").read_text() == "x, y = 1, 2\n"
 
 
-def test_a_break_that_is_not_there_or_that_nothing_runs_on_is_refused(tree: Path) -> None:
-    for old, new, tests, said in (
-        ("= 7,", "= 8,", "test_shop.py", "expected once, found 0"),
-        ("= 1,", "= ,", "test_shop.py", "pytest ended with 2"),
-        ("= 1,", "= 3,", "test_shop.py::test_z", "pytest ended with 4"),
-    ):
-        with pytest.raises(SystemExit, match=said):
-            MUTANTS.try_break(MUTANTS.Break("shop.py", old, new, (tests,)), tree)
+def test_what_says_nothing_about_the_tests_is_refused(
+    mutants: ModuleType, tree: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A text that is not there; a run that ended without a test that failed."""
+    with pytest.raises(SystemExit, match="expected once, found 0"):
+        mutants.try_break(mutants.Break("shop.py", "= 7,", "= 8,", ("test_shop.py",)), tree)
+    for code, text in ((1, "Traceback"), (2, "ERROR test_shop.py"), (4, ""), (-9, "")):
+        monkeypatch.setattr(mutants, "run_tests", lambda *_, found=(code, text): found)
+        with pytest.raises(SystemExit, match=f"pytest ended with {code}"):
+            mutants.try_break(mutants.Break("shop.py", "= 1,", "= 3,", ("test_shop.py",)), tree)
+    monkeypatch.setattr(mutants, "run_tests", lambda *_: (None, ""))
+    hangs = mutants.try_break(mutants.Break("shop.py", "= 1,", "= 3,", ("test_shop.py",)), tree)
+    assert hangs["outcome"] == "hangs"
+    assert (tree / "shop.py").read_text() == "x, y = 1, 2\n"

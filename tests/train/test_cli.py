@@ -4,6 +4,8 @@ import json
 import os
 import signal
 
+import h5py
+import numpy as np
 import pytest
 
 from mpdt.errors import UsageError
@@ -195,3 +197,27 @@ def test_overrides_and_the_share_of_the_teacher():
     assert config.seed == 3
     with pytest.raises(UsageError, match="unknown preset"):
         parse_settings(Run(data="x", preset="y"), [])
+
+
+@pytest.mark.parametrize("name", ["steps/rewards", "tta/default/steps/actions"])
+def test_damage_ends_a_training_before_anything_is_kept(tiny_file, tmp_path, name, capsys):
+    """The first number of the first episode, and of the set that adaptation reads."""
+    damaged = tmp_path / "damaged.h5"
+    data = bytearray(tiny_file.read_bytes())
+    with h5py.File(tiny_file) as file:
+        row = 0 if name.startswith("tta") else int(file["episodes/start"][expert_row(file)])
+        data[file[name].id.get_offset() + 4 * row] ^= 4
+    damaged.write_bytes(data)
+    arguments = ["--data", damaged, *QUICK, "--runs-dir", tmp_path, "--name", "run", "-q"]
+    for _ in range(2):  # also where checkpoints are there already
+        assert call(*arguments) == 1
+        error = capsys.readouterr().err
+        assert "does not have the bytes of its digest" in error
+        assert ("of the TTA set" in error) == name.startswith("tta")
+        (kept,) = (tmp_path / "run").glob("*.safetensors")
+        assert load_weights(kept)[0].settings["step"] == 0
+        assert not (tmp_path / "run/results.json").exists()
+
+
+def expert_row(file):
+    return int(np.flatnonzero(file["episodes/quality"][:] == 2)[0])

@@ -12,6 +12,7 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.tables import Float64
 
 TICKS = "▁▂▃▄▅▆▇█"
+WIDTH = 72
 
 
 def episode_facts(data: Dataset, episode_id: int) -> dict[str, Any]:
@@ -50,7 +51,7 @@ def episode_facts(data: Dataset, episode_id: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def episode_text(found: dict[str, Any], width: int = 72) -> list[str]:
+def episode_text(found: dict[str, Any]) -> list[str]:
     """The lines for a terminal, all but the table of actions."""
     goal = " ".join(f"{number:g}" for number in found["goal"]) or "not stored"
     ends = [word for word in ("terminated", "truncated") if found[word]]
@@ -66,9 +67,9 @@ def episode_text(found: dict[str, Any], width: int = 72) -> list[str]:
         f"seed key {'/'.join(map(str, found['seed_key']))}   digest {found['digest'][:16]}",
         f"end      {' and '.join(ends) or 'no flag'} after {found['length']} steps{success}",
         "",
-        f"reward   {sparkline(rewards, width)}",
+        f"reward   {sparkline(rewards, WIDTH)}",
         f"         {rewards.min():,.3f} to {rewards.max():,.3f}, mean {rewards.mean():,.3f}",
-        f"so far   {sparkline(so_far, width)}",
+        f"so far   {sparkline(so_far, WIDTH)}",
         f"         return {found['return']:,.2f}",
     ]
 

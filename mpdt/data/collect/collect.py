@@ -9,7 +9,6 @@ job -> lock -> missing blocks on workers -> levels -> pack -> parts deleted
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections import Counter
 from collections.abc import Callable
@@ -27,7 +26,7 @@ from mpdt.data.collect.plan import Block, Plan
 from mpdt.data.collect.runner import BlockReport, Gap, report_part
 from mpdt.data.lock.keeper import LockKeeper, plain_spec
 from mpdt.data.spec.change import changed_keys
-from mpdt.data.spec.entry import canonical_json
+from mpdt.data.spec.entry import spec_hash
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 from mpdt.errors import BusyError, DataError, FormatError, StorageError, quoted
@@ -175,7 +174,7 @@ def describe_plan(plan: Plan) -> dict[str, Any]:
     spec = {k: v for k, v in plain_spec(plan.spec).items() if k not in ("version", "license")}
     return {
         "spec": spec,
-        "spec_hash": hashlib.sha256(canonical_json(spec)).hexdigest(),
+        "spec_hash": spec_hash(spec),
         "versions": decisive_versions(),
         # Which references are on record may change between two runs, and changes no part.
         "blocks": [block.label for block in plan.blocks if block.kind != "reference"],

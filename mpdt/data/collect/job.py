@@ -15,7 +15,7 @@ from mpdt.data.collect.plan import Block, Plan, make_plan
 from mpdt.data.episode import PolicyInfo
 from mpdt.data.sim.actors import Policy, UniformPolicy, ZeroPolicy
 from mpdt.data.sim.ladder import Ladder, load_ladder
-from mpdt.data.sim.references import find_records, local_notice
+from mpdt.data.sim.record import find_records, local_notice
 from mpdt.data.spec.entry import DatasetSpec
 
 

@@ -3,7 +3,7 @@
 level = (return - random) / (expert - random)        0 = random, 1 = expert
 required per task: random < medium < expert, and 0.35 <= level(medium) <= 0.65
 
-random and expert are the references on record (`sim/references.py`); a reference that is not
+random and expert are the references on record (`sim/record.py`); a reference that is not
 there is the mean of this collection's own episodes. A level is a mean over some episodes.
 Outside its band by no more than two of its standard errors, it is a warning; further out, or
 with the order broken, nothing is written.

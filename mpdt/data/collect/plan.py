@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from mpdt.data.reference import Reference
-from mpdt.data.sim.references import NOTHING, Record
+from mpdt.data.sim.record import NOTHING, Record
 from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts, TtaRule, spec_hash
 from mpdt.data.spec.tasks import Family, Task, get_family
 from mpdt.seeding import HISTORY_STRIDE, Quality, SeedKey
@@ -126,7 +126,7 @@ def make_plan(spec: DatasetSpec, records: Mapping[str, Record] | None = None) ->
     """The blocks of a dataset.
 
     Args:
-        records: result of `sim.references.find_records`; what is in it is not measured again.
+        records: result of `sim.record.find_records`; what is in it is not measured again.
 
     Raises: SpecError if the spec names an unknown family or task.
     """

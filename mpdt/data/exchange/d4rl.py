@@ -59,7 +59,7 @@ def _write_run(file: h5py.File, selection: Selection, run: Run) -> None:
     count = int(data.episodes.length[run.ids].sum())
     first = 0
     for i in run.ids.tolist():
-        episode = data.episode(i)
+        episode = selection.episode(i)
         rows: dict[str, NDArray[Any]] = {
             "observations": episode.observations[:-1],
             "next_observations": episode.observations[1:],

@@ -46,7 +46,7 @@ def write(selection: Selection, folder: Path) -> None:
     writer: Any = None
     first = 0
     for number, (i, file) in enumerate(zip(selection.ids.tolist(), files.tolist(), strict=True)):
-        episode = data.episode(i)
+        episode = selection.episode(i)
         columns = _columns(episode, number, first, rows[episode.task], family)
         table = pa.table({name: arrow.column(values) for name, values in columns.items()})
         place = dict(zip(("chunk_index", "file_index"), divmod(file, CHUNK_FILES), strict=True))

@@ -83,7 +83,7 @@ def _id(selection: Selection, run: Run) -> str:
 def _write_episode(
     group: h5py.Group, selection: Selection, i: int, number: int, link: bool
 ) -> None:
-    data, episode = selection.dataset, selection.dataset.episode(i)
+    data, episode = selection.dataset, selection.episode(i)
     first, obs_first = int(data.episodes.start[i]), int(data.episodes.obs_start[i])
     for name in _STEPS:
         if link:
@@ -122,7 +122,7 @@ def _check_links(path: Path, selection: Selection, run: Run) -> None:
     """A virtual dataset whose source is wrong reads as zeros; better to know it now."""
     with h5py.File(path, "r") as file:
         for number, i in enumerate(run.ids.tolist()):
-            episode, group = selection.dataset.episode(i), file[f"episode_{number}"]
+            episode, group = selection.episode(i), file[f"episode_{number}"]
             for name in _STEPS:
                 if not np.array_equal(group[name][()], getattr(episode, name)):
                     raise DataError("links do not show the episodes", where=str(path),

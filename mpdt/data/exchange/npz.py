@@ -69,7 +69,7 @@ def write(selection: Selection, folder: Path) -> None:
         if (column := getattr(dataset.steps, name)) is not None:
             arrays[name] = np.zeros((num_rows, *column.shape[1:]), column.dtype)
     for i, first, length in zip(selection.ids.tolist(), obs_start, lengths, strict=True):
-        episode = dataset.episode(i)
+        episode = selection.episode(i)
         arrays["observations"][first : first + length + 1] = episode.observations
         arrays["valids"][first + length] = False
         for name in _PER_STEP:

@@ -96,7 +96,7 @@ def _write_steps(selection: Selection, places: NDArray[np.int64], folder: Path) 
 
 def _steps_table(selection: Selection, place: int) -> Any:
     data, i = selection.dataset, int(selection.ids[place])
-    episode = data.episode(i)
+    episode = selection.episode(i)
     columns = {
         "episode": pa.array(np.full(episode.length, place, np.int32)),
         "step": pa.array(np.arange(episode.length, dtype=np.int32)),

@@ -159,13 +159,13 @@ def write(selection: Selection, folder: Path) -> None:
         place = folder / "data" / family
         place.mkdir(parents=True, exist_ok=True)
         quality = quality_name(run.quality)
-        episodes = [_as_dict(selection.dataset.episode(i)) for i in run.ids.tolist()]
+        episodes = [_as_dict(selection.episode(i)) for i in run.ids.tolist()]
         _dump(episodes, place / f"{family}-{run.task.index}-{quality}.pkl")
         _dump(episodes[:NUM_PROMPTS], place / f"{family}-{run.task.index}-prompt-{quality}.pkl")
         if family in _GOAL_KEYS:  # elsewhere every episode has a goal of its own
             goals = folder / "config" / family
             goals.mkdir(parents=True, exist_ok=True)
-            goal = selection.dataset.episode(int(run.ids[0])).goal[0]
+            goal = selection.episode(int(run.ids[0])).goal[0]
             _dump([{_GOAL_KEYS[family]: goal}], goals / f"config_{family}_task{run.task.index}.pkl")
 
 

@@ -8,9 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
+from mpdt.data.episode import Episode
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.inherit import header_of, task_rows
+from mpdt.data.store.proof import proven
 from mpdt.data.store.sources import FileHeader
 from mpdt.data.store.tables import Int64, TaskRow
 
@@ -68,6 +70,13 @@ class Selection:
     @property
     def num_steps(self) -> int:
         return int(self.dataset.episodes.length[self.ids].sum())
+
+    def episode(self, episode_id: int) -> Episode:
+        """One episode, compared with its digest: an export must not pass on damage.
+
+        Raises: FormatError.
+        """
+        return proven(self.dataset, episode_id)
 
     def runs(self) -> Iterator[Run]:
         """One (task, quality) after the other."""

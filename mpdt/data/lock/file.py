@@ -25,7 +25,13 @@ from typing import Any
 
 import msgspec
 
-from mpdt.data.spec.entry import Problem, SpecMistakesError, canonical_json, raise_problems
+from mpdt.data.spec.entry import (
+    Problem,
+    SpecMistakesError,
+    canonical_json,
+    raise_problems,
+    spec_hash,
+)
 from mpdt.data.spec.strict import build
 from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.spec.yamltext import dump_yaml, load_yaml
@@ -170,7 +176,7 @@ def _entry_problems(name: str, entry: LockEntry) -> list[Problem]:
         if not _RUN.fullmatch(value)
     ]
     try:
-        found = hashlib.sha256(canonical_json(entry.spec)).hexdigest()
+        found = spec_hash(entry.spec)
     except (TypeError, ValueError):  # keys that are no text, or a number that is none
         found = ""
     said = (entry.spec.get("name"), entry.spec.get("version"))

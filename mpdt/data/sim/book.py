@@ -1,7 +1,7 @@
 """Book: measured data with its evidence, as a JSON file of one line per entry.
 
 Two are shipped under `weights/`: mixing rates (`calibration.py`) and references
-(`references.py`). The format is refused if it is another, and so is any unknown field.
+(`record.py`). The format is refused if it is another, and so is any unknown field.
 """
 
 from __future__ import annotations
@@ -15,9 +15,16 @@ import msgspec
 
 from mpdt.data.spec.entry import canonical_json
 from mpdt.disk import write_bytes
-from mpdt.errors import DataError, StorageError
+from mpdt.errors import DataError
+from mpdt.reading import read_plain
+from mpdt.version import installed
 
 Entry = TypeVar("Entry")
+
+
+def versions() -> dict[str, str]:
+    """Of the packages that measured numbers depend on."""
+    return installed(("metaworld", "mujoco", "numpy"))
 
 
 class _Book(msgspec.Struct, Generic[Entry], frozen=True, forbid_unknown_fields=True):
@@ -35,9 +42,7 @@ def read_book(path: Path, kind: type[Entry], format: str, what: str) -> tuple[En
     Raises: DataError for anything else than such a file; StorageError.
     """
     try:
-        book = msgspec.json.decode(path.read_bytes(), type=_Book[kind])  # type: ignore[valid-type]
-    except OSError as error:
-        raise StorageError("cannot be read", where=str(path), found=str(error)) from error
+        book = msgspec.json.decode(read_plain(path), type=_Book[kind])  # type: ignore[valid-type]
     except msgspec.DecodeError as error:
         raise DataError(f"not a {what}", where=str(path), found=str(error),
                         hint="delete it, or choose another file with -o") from error  # fmt: skip

@@ -16,11 +16,11 @@ before that, so random < medium < expert holds by construction.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
+from mpdt.data.sim.book import versions
 from mpdt.data.sim.calibration import (
     Calibration,
     Measurement,
@@ -180,10 +180,6 @@ def _calibrate(probe: Probe, horizon: int, coarse: int, careful: int) -> Calibra
         versions=versions(),
         policy=script_hash(probe.task.name),
     )
-
-
-def versions() -> dict[str, str]:
-    return {name: metadata.version(name) for name in ("metaworld", "mujoco", "numpy")}
 
 
 def script_hash(task_name: str) -> str:

@@ -15,13 +15,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from importlib import metadata
 from pathlib import Path
 
 import msgspec
 
+from mpdt.data.sim.book import versions
 from mpdt.data.sim.portions import ROWS, Player, Portion, expert_ladder, kind_of
-from mpdt.data.sim.references import (
+from mpdt.data.sim.record import (
     LOCAL_FILE,
     Entry,
     Place,
@@ -67,11 +67,6 @@ def episodes_wanted(score: Score | None, span: float | None, cap: int = CAP) -> 
     if goal == score.episodes and span is not None and score.error > PRECISION * abs(span):
         goal *= 2
     return max(score.episodes, min(goal, cap))
-
-
-def versions() -> dict[str, str]:
-    """Packages that the numbers depend on."""
-    return {name: metadata.version(name) for name in ("metaworld", "mujoco", "numpy")}
 
 
 @dataclass

@@ -21,7 +21,7 @@ from mpdt.data.sim.batch import BatchEnv
 from mpdt.data.sim.constants import constant_actions
 from mpdt.data.sim.ladder import Ladder, load_ladder
 from mpdt.data.sim.play import run_block
-from mpdt.data.sim.references import Score, constant_names
+from mpdt.data.sim.record import Score, constant_names
 from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts
 from mpdt.data.spec.tasks import Task, get_family

@@ -24,6 +24,7 @@ from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.inherit import header_of, lineage_step, task_rows
 from mpdt.data.store.licence import combined
+from mpdt.data.store.proof import proven
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
@@ -136,7 +137,7 @@ def _places(sources: Sequence[Dataset]) -> tuple[list[_Place], int]:
 def _episodes(sources: Sequence[Dataset], places: Sequence[_Place]) -> EpisodeSource:
     def read() -> Iterator[Episode]:
         for place in places:
-            yield sources[place.source].episode(place.id)
+            yield proven(sources[place.source], place.id)
 
     steps = sum(int(sources[p.source].episodes.length[p.id]) for p in places)
     ids = [sources[p.source].episodes.source for p in places] if _parent(sources)[1] else []

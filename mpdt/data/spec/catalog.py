@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ def load_catalog(path: Path | None = None) -> Catalog:
                                     "the shipped one") from error  # fmt: skip
     except UnicodeDecodeError as error:
         raise SpecError("not UTF-8 text", where=str(chosen), found=str(error)) from error
-    return Catalog(chosen, parse_catalog(text, str(chosen)))
+    return Catalog(chosen, dict(_parsed(text, str(chosen))))
 
 
 def _default_path() -> Path:
@@ -70,6 +71,12 @@ def _default_path() -> Path:
     if os.path.lexists(here):  # also a folder or a broken link: to pass it over would surprise
         return here
     return inside if inside.is_file() else package.parent / FILE_NAME
+
+
+# Hints of errors ask which entries there are, and reading the shipped file takes 40 ms.
+@lru_cache(maxsize=4)
+def _parsed(text: str, where: str) -> dict[str, DatasetSpec]:
+    return parse_catalog(text, where)
 
 
 def parse_catalog(text: str, where: str) -> dict[str, DatasetSpec]:

@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -297,8 +297,8 @@ def canonical_json(value: Any) -> bytes:
     return text.encode("utf-8")
 
 
-def spec_hash(spec: DatasetSpec) -> str:
-    """SHA-256 of the spec's canonical JSON, 64 hex digits."""
+def spec_hash(spec: DatasetSpec | Mapping[str, Any]) -> str:
+    """SHA-256 of the spec's canonical JSON, 64 hex digits. Raises: as `canonical_json`."""
     return hashlib.sha256(canonical_json(spec)).hexdigest()
 
 

@@ -19,6 +19,7 @@ from mpdt.data.store import columns, layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_header
 from mpdt.data.store.inherit import task_rows
+from mpdt.data.store.proof import check_digests
 from mpdt.data.store.reader import open_dataset, read_file
 from mpdt.data.store.seal import check_seal, seal
 from mpdt.data.store.sources import TtaSource
@@ -53,7 +54,7 @@ def add_tta(path: Path, name: str, source: TtaSource) -> Dataset:
     Raises: as `writer.write_file`.
     """
     with holding(path, amends=True):
-        with _copy(path) as (file, dataset):
+        with _copy(path, name) as (file, dataset):
             layout.checked_name(name)
             success = dataset.steps.successes is not None
             sizes = {"D": dataset.observation_size, "A": dataset.action_size}
@@ -78,12 +79,19 @@ def add_tta(path: Path, name: str, source: TtaSource) -> Dataset:
 
 
 @contextmanager
-def _copy(path: Path) -> Iterator[tuple[h5py.File, Dataset]]:
-    """A changed copy of a file that is held."""
+def _copy(path: Path, but: str = "") -> Iterator[tuple[h5py.File, Dataset]]:
+    """A changed copy of a file that is held, once it is known to be whole.
+
+    Args:
+        but: a TTA set that is going to be replaced, whatever is in it.
+    """
     dataset = open_dataset(path)
     with replacing(path) as temporary:
         with disk(path):
             shutil.copyfile(path, temporary)
+        copied = read_file(temporary)
+        check_digests(copied, path, [name for name in copied.tta if name != but])
+        with disk(path):
             file = h5py.File(temporary, "r+", **ALIGNED)
         with closing(file, path):
             check_seal(file, path)  # or a new seal would cover up the damage

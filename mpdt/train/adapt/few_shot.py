@@ -24,8 +24,7 @@ from torch import Tensor
 
 from mpdt.data.slices.sampler import RewardColumns, WindowSampler
 from mpdt.data.store.reader import Dataset
-from mpdt.errors import DataError, UsageError
-from mpdt.model.limits import check_above_zero, check_at_least
+from mpdt.errors import DataError, UsageError, check_above_zero, check_at_least
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start
 from mpdt.model.returns import ReturnTable

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from mpdt.data.slices.sampler import WindowSampler
-from mpdt.model.limits import check_at_least
+from mpdt.errors import check_at_least
 from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.prompts import TrainedPrompts
 from mpdt.model.returns import ReturnTable

@@ -24,8 +24,7 @@ from mpdt.data.sim.actors import Actor, Rows
 from mpdt.data.sim.batch import BatchEnv, roll_out
 from mpdt.data.sim.play import Record
 from mpdt.data.sim.simulators import make_batch
-from mpdt.errors import TrainingError
-from mpdt.model.limits import check_at_least
+from mpdt.errors import TrainingError, check_at_least
 from mpdt.seeding import Quality, SeedKey
 
 if TYPE_CHECKING:

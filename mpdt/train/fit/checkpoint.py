@@ -69,6 +69,7 @@ class Checkpoint:
 
     def save(self, phase: str, step: int, subject: Subject) -> None:
         """Write atomically. Raises: StorageError if the disk refuses."""
+        self.log.sync()
         header = WeightsHeader(
             kind=KIND,
             hashes=self.hashes,

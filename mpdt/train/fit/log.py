@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from mpdt.disk import disk, sync
 from mpdt.errors import FormatError, StorageError
 
 
@@ -49,10 +50,18 @@ class MetricsLog:
         except OSError as error:
             raise StorageError(f"cannot write: {error.strerror}", where=str(self.path)) from error
 
+    def sync(self) -> None:
+        """Onto the disk itself, before a checkpoint says how long it is. Raises: StorageError."""
+        if self.path.exists():
+            with disk(self.path):
+                sync(self.path)
+
     def cut(self, size_bytes: int) -> None:
-        """Forget every line behind the first `size_bytes`."""
+        """Forget every line behind the first `size_bytes`. Raises: StorageError."""
         if self.size_bytes > size_bytes:
-            os.truncate(self.path, size_bytes)
+            with disk(self.path):
+                os.truncate(self.path, size_bytes)
+            self.sync()
 
     def records(self) -> list[dict[str, Any]]:
         """All lines; a last one that a kill cut off is left out.

@@ -1,13 +1,15 @@
 """The training loop, one page: soft prompts of many tasks behind one frozen language model.
 
-    for every update:
-        windows of every training task        a pure function of (seed, step)
+    for every update:                         `fit`
+        windows of every training task        a pure function of (seed, step), `data/slices`
         prompts P*_k of those tasks           teacher: full ones; student: P_c o v_k u_k
-        loss = L_act + lambda L_dis           L_dis only for the student
+        loss = L_act + lambda L_dis           `Update`; L_dis only for the student, `teacher.py`
         AdamW with warm-up and clipping       prompts, time table, head (and map)
 
-Both phases use it. Whatever changes from update to update comes from (seed, step), so a
-checkpoint holds numbers and a step, and a resumed run repeats an unbroken one bit for bit.
+Both phases use it (`run/trainer.py`), and few-shot tuning (`adapt/few_shot.py`). Where it is
+computed is in `device.py`, by how many processes in `group.py`. Whatever changes from update to
+update comes from (seed, step), so a checkpoint holds numbers and a step, and a resumed run
+repeats an unbroken one bit for bit.
 """
 
 from __future__ import annotations
@@ -23,9 +25,8 @@ from torch import Tensor, nn
 
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.data.slices.windows import WindowBatch
-from mpdt.errors import TrainingError
+from mpdt.errors import TrainingError, check_at_least
 from mpdt.model.demonstrations import DemonstrationPrompts
-from mpdt.model.limits import check_at_least
 from mpdt.model.policy import PromptPolicy, action_loss
 from mpdt.model.prompts import (
     AdaptedPrompts,

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mpdt.data.slices.windows import WindowSource
-from mpdt.errors import TrainingError
-from mpdt.model.limits import check_above_zero, check_at_least
+from mpdt.errors import TrainingError, check_above_zero, check_at_least
 from mpdt.seeding import generator_at, layers_from
 from mpdt.train.fit.data import Ids, Material
 

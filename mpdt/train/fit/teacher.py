@@ -29,7 +29,7 @@ import msgspec
 import torch
 from torch import Tensor, nn
 
-from mpdt.model.limits import check_at_least
+from mpdt.errors import check_at_least
 from mpdt.model.policy import PolicyBatch, PolicyOutput, PromptPolicy
 from mpdt.model.prompts import TeacherPrompts
 from mpdt.model.returns import ReturnTable

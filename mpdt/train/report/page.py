@@ -2,8 +2,8 @@
 
     mpdt-train report runs/ml10-base --html ml10.html
 
-Tables are those of the terminal (`report.py`, `summary.py`); what the reference policies earn
-stands beside every method, in grey.
+Tables are those of the terminal (`evaluate/tables.py`, `study/summary.py`); what the reference
+policies earn stands beside every method, in grey.
 """
 
 from __future__ import annotations

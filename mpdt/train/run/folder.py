@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from mpdt.data.spec.change import changed_keys
-from mpdt.disk import disk, holding, write_bytes
+from mpdt.disk import disk, holding, sync, write_bytes
 from mpdt.errors import (
     FormatError,
     MissingFileError,
@@ -144,6 +144,7 @@ def claimed(folder: RunFolder, identity: Identity, restart: bool) -> Iterator[No
         try:
             with disk(folder.path):
                 folder.path.mkdir(exist_ok=True)
+                sync(folder.path.parent)
             if restart:
                 _clear(folder)
             stored = {"format": FORMAT, "training": identity.training, "judging": identity.judging}

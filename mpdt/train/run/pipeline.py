@@ -10,11 +10,14 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Literal
 
+import numpy as np
 import torch
 
+from mpdt.data.store.proof import BackgroundProof
 from mpdt.disk import disk, write_bytes
 from mpdt.draw.table import markdown_page
 from mpdt.errors import BackboneError, MissingFileError, UsageError, quoted
@@ -31,6 +34,7 @@ from mpdt.train.run.build import build
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder, claimed, inspect
 from mpdt.train.run.judge import Judge
+from mpdt.train.run.older import as_stored
 from mpdt.train.run.prepare import Prepared
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.results import find_results, results_header, set_aside
@@ -56,7 +60,10 @@ def run_pipeline(
     if not time_limit_s >= 0:
         raise UsageError("setting out of range", where="--time-limit-s",
                          expected="at least 0", found=str(time_limit_s))  # fmt: skip
-    config, identity, restart = prepared.config, prepared.identity, how == "restart"
+    restart = how == "restart"
+    if not restart:
+        prepared = as_stored(prepared, folder)
+    config, identity = prepared.config, prepared.identity
     group = Group.join()
     if group.size > 1 and config.inputs.return_dropout:
         raise UsageError("return dropout is drawn for whole batches, not for a process's share",
@@ -88,12 +95,35 @@ def run_pipeline(
     learner = build(prepared, backbone)
     trainer = Trainer(learner, folder, progress, time_limit_s, group)
     progress.stop.check()
-    with claimed(folder, identity, restart):
+    with (
+        claimed(folder, identity, restart),
+        _proving(prepared, progress) as trainer.proof,
+    ):
         if group.rank > 0:
             trainer.train()
             group.leave()
             return {}
         return _train_and_judge(trainer)
+
+
+@contextmanager
+def _proving(prepared: Prepared, progress: Progress) -> Iterator[BackgroundProof]:
+    """Compare what the run reads with its digests, beside the work; looked at with every update."""
+    config, material = prepared.config, prepared.material
+    mixes = config.mixing.share > 0
+    read = list(material.episode_ids.values())
+    if config.adapt.infers or config.statistics.source == "random" or mixes:
+        read.append(material.dataset.select(task=list(material.train_rows), quality="random"))
+    if config.few_shot.qualities or config.few_shot.demonstration:
+        read.append(material.dataset.select(task=list(material.test_rows)))
+    sets = [config.adapt.set] if config.adapt.needs_set else []
+    proof = BackgroundProof(material.dataset, np.unique(np.concatenate(read)), sets)
+    progress.also = proof.check
+    try:
+        yield proof
+    finally:
+        proof.stop()
+        progress.also = None
 
 
 def _train_and_judge(trainer: Trainer) -> dict[str, Any]:
@@ -107,6 +137,8 @@ def _train_and_judge(trainer: Trainer) -> dict[str, Any]:
         progress.say(f"training ended by --time-limit-s: {_updates(trained)}")
     judge = Judge(trained, prepared.config, progress, folder.log)
     scores = judge.scores()
+    if trainer.proof is not None:
+        trainer.proof.finish()  # also where nothing was left to train
     seconds = {"training": trained_s, "all": time.monotonic() - began_s}
     header = results_header(name, prepared, trained, seconds)
     content = encode_results(header, scores)

@@ -7,27 +7,33 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from typing import TextIO
 
 from mpdt.errors import visible
+from mpdt.pace import SAY_EVERY_S, Pace
 from mpdt.train.run.stop import StopRequest
 
-LINE_EVERY_S = 10.0
+BAR_EVERY_S = 0.2
 
 
 class Progress:
     """Args:
     quiet: say nothing.
     stop: asked after every update; None = nobody stops it.
+
+    `also`, where it is set, is asked together with it and raises what ends the run.
     """
 
     def __init__(
         self, quiet: bool = False, stop: StopRequest | None = None, stream: TextIO | None = None
     ) -> None:
         self.stop = stop or StopRequest()
+        self.also: Callable[[], None] | None = None
         self._quiet, self._stream = quiet, stream or sys.stderr
         self._terminal = self._stream.isatty()
-        self._phase, self._began_s, self._first, self._said_s = "", 0.0, 0, 0.0
+        self._pace = Pace(BAR_EVERY_S if self._terminal else SAY_EVERY_S)
+        self._phase, self._began_s, self._first = "", 0.0, 0
         self._open = False
 
     def say(self, text: str) -> None:
@@ -40,21 +46,21 @@ class Progress:
     def update(self, phase: str, done: int, total: int, text: str = "") -> None:
         """`done` of `total` steps of a phase; a new phase starts its own clock.
 
-        Raises: Stopped after a signal.
+        Raises: Stopped after a signal; what `also` raises.
         """
         self._show(phase, done, total, text)
+        if self.also is not None:
+            self.also()
         self.stop.check()
 
     def _show(self, phase: str, done: int, total: int, text: str) -> None:
         now = time.monotonic()
-        if phase != self._phase:
+        first, last = phase != self._phase, done >= total
+        if first:
             self._close()
-            self._phase, self._began_s, self._first, self._said_s = phase, now, done, 0.0
-        last = done >= total
-        wait_s = 0.2 if self._terminal else LINE_EVERY_S
-        if self._quiet or (now - self._said_s < wait_s and not last):
+            self._phase, self._began_s, self._first = phase, now, done
+        if self._quiet or not self._pace.is_time(anyway=first or last):
             return
-        self._said_s = now
         per_step_s = (now - self._began_s) / max(1, done - self._first)
         left_s = per_step_s * (total - done)
         clock = f"{int(left_s) // 60}:{int(left_s) % 60:02d} left" if not last else "done"

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from mpdt.disk import sync
 from mpdt.errors import FormatError, MissingFileError
 from mpdt.train.evaluate.score import Score
 from mpdt.train.evaluate.sealed import FORMAT, check_digest, read_json
@@ -126,6 +127,8 @@ def set_aside(folder: RunFolder) -> None:
             kept = folder.judged(judging)
             kept.parent.mkdir(exist_ok=True)
             folder.results.replace(kept)
+            sync(kept.parent)
+            sync(folder.path)
     folder.results.unlink(missing_ok=True)
 
 

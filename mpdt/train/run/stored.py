@@ -38,6 +38,7 @@ from mpdt.train.fit.trained import Trained
 from mpdt.train.run.build import build
 from mpdt.train.run.config import TrainConfig, to_plain
 from mpdt.train.run.folder import RunFolder, stored_settings
+from mpdt.train.run.older import as_stored
 from mpdt.train.run.prepare import Prepared, prepare
 from mpdt.train.run.results import read_results
 
@@ -143,7 +144,8 @@ def _adapted_by(
 
 
 def _prepare(folder: RunFolder, data: Path | str | None) -> Prepared:
-    return prepare(stored_settings(folder.path), _data_of(folder, data))
+    prepared = prepare(stored_settings(folder.path), _data_of(folder, data))
+    return as_stored(prepared, folder)
 
 
 def _weights(folder: RunFolder, prepared: Prepared) -> Trained:

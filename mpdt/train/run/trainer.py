@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mpdt.data.store.proof import BackgroundProof
 from mpdt.model.prompts import MixedPrompts, TaughtParts
 from mpdt.model.weights import WeightsHeader, load_weights, save_weights
 from mpdt.seeding import phase_seed
@@ -41,6 +42,7 @@ class Trainer:
     Args:
         time_limit_s: end training after so many seconds of this process and go on with what
             there is; 0 = never. The result then depends on the machine.
+        proof: that what is learnt from is whole; nothing is kept before it is.
     """
 
     learner: Learner
@@ -48,6 +50,7 @@ class Trainer:
     progress: Progress
     time_limit_s: float = 0.0
     group: Group = ALONE
+    proof: BackgroundProof | None = None
 
     def __post_init__(self) -> None:
         prepared = self.learner.prepared
@@ -126,7 +129,11 @@ class Trainer:
         return header
 
     def _save(self, path: Path, kind: str, subject: Subject, updates: dict[str, int]) -> None:
-        """Weights of a phase; its checkpoint goes once there is nothing to continue."""
+        """Weights of a phase; its checkpoint goes once there is nothing to continue.
+
+        Raises: FormatError if an episode it may have learnt from is damaged.
+        """
+        self._prove()
         header = WeightsHeader(
             kind=kind,
             hashes=self.learner.hashes | {"data": self._material.dataset.content_hash},
@@ -136,10 +143,16 @@ class Trainer:
                 "config": {k: v for k, v in to_plain(self._config).items() if k not in JUDGING},
             },
         )
+        self.folder.log.sync()
         save_weights(path, subject.tensors(optimizer=False), header)
         for phase in updates:
             if updates[phase] == self.learner.asked[phase]:
                 self.folder.checkpoint(phase).unlink(missing_ok=True)
+
+    def _prove(self) -> None:
+        """Before what was learnt is kept. Raises: FormatError for a damaged episode."""
+        if self.proof is not None:
+            self.proof.finish()
 
     def _fit(
         self,
@@ -156,6 +169,10 @@ class Trainer:
         if first:
             self.progress.say(f"resuming {phase} after {first} of {num_steps} updates")
 
+        def save(done: int) -> None:
+            self._prove()
+            checkpoint.save(phase, done, subject)
+
         def on_step(done: int, parts: dict[str, float]) -> bool:
             late = 0 < self.time_limit_s * share < time.monotonic() - began_s
             stop = self.progress.stop
@@ -171,10 +188,10 @@ class Trainer:
             try:
                 self.progress.update(phase, done, num_steps, text)
             except Stopped:
-                checkpoint.save(phase, done, subject)
+                save(done)
                 raise
             if late or done % config.multitask.checkpoint_every == 0:
-                checkpoint.save(phase, done, subject)
+                save(done)
             if late and not regular:
                 # After the checkpoint: whoever continues there forgets the extra line.
                 log.append(record | prompt_norms(subject.prompts))

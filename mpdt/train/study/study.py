@@ -3,7 +3,7 @@
 runs/STUDY/CELL/            the run, resumable like any other
 results/STUDY/CELL.json     its results, small: a run counts as done when this is here and
                             of the same settings and data
-results/STUDY/CELL.prompts.safetensors    P_c and some P_k, to be drawn
+results/STUDY/CELL.prompts.safetensors    P_c and some P_k, to be drawn: one cell per data set
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from mpdt.train.run.config import TrainConfig, from_plain, to_plain
 from mpdt.train.run.folder import locate
 from mpdt.train.run.identity import plain_settings
 from mpdt.train.run.methods import apply_method, merge
+from mpdt.train.run.older import called_once
 from mpdt.train.run.pipeline import run_pipeline
 from mpdt.train.run.prepare import Prepared, prepare
 from mpdt.train.run.presets import get_preset
@@ -61,12 +62,17 @@ class Places:
     def prompts(self, cell: Cell) -> Path:
         return self.results / f"{cell.name}{KEPT}"
 
+    def may_keep_prompts(self, cell: Cell) -> bool:
+        """Whether no other cell of that data set has kept its own; one is drawn."""
+        kept = {path.name for path in self.results.glob(f"{cell.data}.*{KEPT}")}
+        return kept <= {self.prompts(cell).name}
+
 
 def configure(cell: Cell) -> TrainConfig:
     """Preset, then method, then the cell's own changes. Raises: UsageError, SpecError."""
     plain = to_plain(apply_method(get_preset(cell.preset), cell.method))
     label = {"method": cell.label} if cell.label else {}
-    return from_plain(merge(plain, {**cell.changes, **label, "seed": cell.seed}))
+    return from_plain(called_once(merge(plain, {**cell.changes, **label, "seed": cell.seed})))
 
 
 def inspect_cell(cell: Cell, places: Places) -> Outcome:
@@ -135,7 +141,8 @@ def _run_cell(
     }
     with disk(places.results):
         places.results.mkdir(parents=True, exist_ok=True)
-    keep_prompts(folder.weights, places.prompts(cell))
+    if places.may_keep_prompts(cell):
+        keep_prompts(folder.weights, places.prompts(cell))
     write_bytes(places.result(cell), encode_cell(results | extra))
 
 

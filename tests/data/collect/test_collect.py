@@ -21,7 +21,7 @@ from mpdt.data.collect.collect import collect
 from mpdt.data.collect.job import make_job
 from mpdt.data.collect.plan import make_plan
 from mpdt.data.reference import Reference, References
-from mpdt.data.sim.references import (
+from mpdt.data.sim.record import (
     LOCAL_FILE,
     Entry,
     Score,

@@ -12,7 +12,7 @@ from mpdt.data.collect.levels import TaskLevels, level_error, measure_levels
 from mpdt.data.collect.plan import Plan, make_plan
 from mpdt.data.collect.runner import BlockReport
 from mpdt.data.reference import Reference, References
-from mpdt.data.sim.references import Record
+from mpdt.data.sim.record import Record
 from mpdt.data.spec.catalog import load_catalog
 
 NAN = float("nan")

@@ -7,7 +7,7 @@ import pytest
 
 from mpdt.data.collect.plan import Block, make_plan, spread
 from mpdt.data.reference import Reference
-from mpdt.data.sim.references import NOTHING, Record
+from mpdt.data.sim.record import NOTHING, Record
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts, TtaRule
 from mpdt.seeding import HISTORY_STRIDE, Quality
 

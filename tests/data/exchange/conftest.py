@@ -17,8 +17,6 @@ from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 
-FLAT_KEYS = ("observations", "next_observations", "actions", "rewards", "terminals")
-
 
 def foreign_episode(length: int, first: float = 0.0, sizes: tuple[int, int] = (20, 6)) -> Any:
     """A dict as in Prompt-DT's pickles: counting observations, rewards 1, 2, ..."""

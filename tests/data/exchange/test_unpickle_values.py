@@ -18,7 +18,6 @@ def dump(value: object, protocol: int = 4) -> bytes:
     return pickle.dumps(value, protocol)
 
 
-SHAPE = b"(K\x00tC\x01bt"
 ARRAY = b"\x80\x04cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\nK\x00\x85C\x01bt"
 DTYPE = b"cnumpy\ndtype\nX\x02\x00\x00\x00f4\x85R"
 

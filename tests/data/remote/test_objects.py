@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
@@ -29,11 +30,16 @@ def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, int
     (root / "bucket").mkdir()
     command = [Path(sys.executable).with_name("rclone"), "serve", "s3", str(root), "--config", ""]
     command += ["--addr", "127.0.0.1:0", "--auth-key", "KEY,SECRET"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as server:
-        assert server.stderr is not None
-        line = next(line for line in server.stderr if "127.0.0.1:" in line)
-        yield root / "bucket", int(line.partition("127.0.0.1:")[2].partition("/")[0])
-        server.terminate()
+    # Into a file: nobody empties a pipe while the tests run, and a full one stops the server.
+    said = root / "said.txt"
+    with said.open("wb") as log, subprocess.Popen(command, stderr=log) as server:
+        try:
+            while not (found := re.search(r"127\.0\.0\.1:(\d+)", said.read_text())):
+                assert server.poll() is None, said.read_text()
+                time.sleep(0.05)
+            yield root / "bucket", int(found[1])
+        finally:
+            server.kill()
 
 
 @pytest.fixture

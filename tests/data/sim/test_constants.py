@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mpdt.data.sim.constants import choose_constant, constant_actions
-from mpdt.data.sim.references import constant_names
+from mpdt.data.sim.record import constant_names
 
 
 def test_candidates_by_hand() -> None:

@@ -13,7 +13,7 @@ import pytest
 from mpdt.data.sim import measure as module
 from mpdt.data.sim.measure import Campaign, episodes_wanted, measure
 from mpdt.data.sim.portions import Player, Portion, kind_of, score_of
-from mpdt.data.sim.references import Score, load_entries, place_of
+from mpdt.data.sim.record import Score, load_entries, place_of
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.errors import DataError

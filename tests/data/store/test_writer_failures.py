@@ -64,7 +64,7 @@ def test_what_was_written_is_read_back(made, kit, monkeypatch):
         append(self, replace(episode, rewards=episode.rewards + 1), task_row, goal_row)
 
     monkeypatch.setattr(StepTable, "append", bad_disk)
-    with pytest.raises(FormatError, match="4 episodes do not have their digest"):
+    with pytest.raises(FormatError, match="episodes 0, 1, 2 and 1 more do not have"):
         write_file(made.path, kit.header, kit.source())
     assert made.content_hash == open_dataset(made.path).content_hash
 
@@ -91,6 +91,5 @@ def test_a_flipped_bit_is_found(made):
         raw = stream.read()
         stream.seek(raw.index(np.array([200, 201, 202], np.float32).tobytes()))
         stream.write(np.float32(200.5).tobytes())
-    with pytest.raises(FormatError, match=r"1 episodes do not have their digest; found episodes "
-                                          r"\[1\]"):  # fmt: skip
+    with pytest.raises(FormatError, match="episode 1 does not have the bytes of its"):
         check_digests(open_dataset(made.path))

@@ -14,7 +14,7 @@ import pytest
 from mpdt.data.cli import main
 from mpdt.data.collect.plan import make_plan
 from mpdt.data.sim.ladder import load_ladder
-from mpdt.data.sim.references import find_records
+from mpdt.data.sim.record import find_records
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.verbs.options import split_steps

@@ -250,3 +250,14 @@ def test_only_and_skip(tiny: Path, change: Apply) -> None:
 def test_findings_are_json(tiny: Path) -> None:
     report = verify(tiny, only=["hash"])
     assert json.loads(json.dumps(report.findings[0].as_json()))["outcome"] == "PASS"
+
+
+def test_episodes_that_share_only_their_ends_are_no_duplicates(change: Apply) -> None:
+    """Same length, first and last row; the third observation of episode 1 is its own."""
+
+    def alike(file: h5py.File) -> None:
+        copy_episode(0, 1)(file)
+        file["steps/observations"][8, 0] += 1
+
+    report = verify(change(alike, seal=True), skip=["replay"])
+    assert finding(report, "duplicates").outcome is Outcome.PASS

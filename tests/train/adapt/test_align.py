@@ -206,3 +206,28 @@ def test_what_diverges_names_adaptation_and_its_rate(dataset, policy, trained):
         adapt(policy, trained, "cross", unseen(dataset), RETURNS, source(policy), settings,
               "channel", 0)  # fmt: skip
     assert "--adapt.lr" in caught.value.hint
+
+
+def test_a_step_shows_no_window_twice_while_there_are_others(dataset):
+    """Six windows of 4 steps or so per task; all of them, then more than there are."""
+    every = unseen(dataset, settings=AdaptSettings(windows=1))
+    count = min(len(ids) for ids, _ in every._covers)
+    batch = unseen(dataset, settings=AdaptSettings(windows=count)).batch(0)
+    for row in range(2):
+        shown = set(zip(batch.episodes[row].tolist(), batch.starts[row].tolist(), strict=True))
+        assert len(shown) == count
+    assert unseen(dataset, settings=AdaptSettings(windows=50)).batch(0).mask.shape[1] == 50
+
+
+def test_actions_are_shown_as_they_were_executed_or_as_they_were_drawn(dataset):
+    """Drawn up to 3, executed up to 1; the action of the step before as well."""
+    cut = unseen(dataset, settings=AdaptSettings(windows=9)).batch(0)
+    drawn = unseen(dataset, settings=AdaptSettings(windows=9, clip_actions=False)).batch(0)
+    for name in ("actions", "previous_actions"):
+        assert np.abs(getattr(cut, name)).max() == 1 < np.abs(getattr(drawn, name)).max()
+
+
+def test_the_first_n_episodes_of_x(dataset):
+    one = unseen(dataset, settings=AdaptSettings(episodes=1))
+    assert [len(ids) for ids in one.ids] == [1, 1]
+    assert [ids[0] for ids in one.ids] == [ids[0] for ids in unseen(dataset).ids]

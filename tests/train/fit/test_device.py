@@ -111,3 +111,10 @@ def test_nothing_of_an_update_stays_on_the_processor(material, dropout):
                     generator=torch.Generator().manual_seed(0), layer_features=True)  # fmt: skip
     action_loss(output.actions, there.actions, there.mask).backward()
     assert prompts.cross.grad.device.type == "meta"
+
+
+def test_only_an_overflow_of_float16_may_be_tried_again():
+    finite, infinite = torch.tensor(1.0), torch.tensor(torch.inf)
+    scaled = Hardware(HardwareSettings(autocast="float16"))
+    assert scaled.accepts(finite) and not scaled.accepts(infinite)
+    assert PROCESSOR.accepts(infinite), "told as a loss that is no number"

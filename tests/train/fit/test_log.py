@@ -5,6 +5,7 @@ import re
 import pytest
 
 from mpdt.errors import FormatError
+from mpdt.train.fit import log as module
 from mpdt.train.fit.log import MetricsLog
 
 
@@ -47,3 +48,16 @@ def test_a_last_line_that_a_kill_cut_off_is_left_out(tmp_path):
     path = tmp_path / "metrics.jsonl"
     path.write_text('{"phase": "x", "step": 1, "action_loss": 1.0}\n{"phase": "st')
     assert len(MetricsLog(path).records()) == 1
+
+
+def test_a_log_is_on_the_disk_before_a_checkpoint_counts_on_it(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(module, "sync", synced.append)
+    own = MetricsLog(tmp_path / "m.jsonl")
+    own.sync()
+    assert synced == [], "no log yet"
+    own.append({"step": 1})
+    assert synced == [], "not with every line"
+    own.sync()
+    own.cut(0)
+    assert synced == [own.path, own.path]

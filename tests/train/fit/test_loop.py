@@ -184,3 +184,23 @@ def test_the_loss_is_action_plus_weighted_distillation(material, backbone):
     assert math.isclose(
         parts["loss"], parts["action_loss"] + 0.5 * parts["distillation_loss"], rel_tol=1e-6
     )
+
+
+def test_a_sparse_prompt_pays_for_its_task_parts(material, backbone):
+    subject, seen = make_subject(material, backbone), []
+    size = float(subject.prompts.task_parts().detach().abs().mean())
+    train(material, subject, 0, 1, lambda done, parts: seen.append(parts), sparse=0.25)
+    assert size > 0.01
+    assert math.isclose(seen[0]["loss"], seen[0]["action_loss"] + 0.25 * size, rel_tol=1e-5)
+
+
+def test_weights_decay_by_rate_and_share(material, backbone):
+    """Without a gradient AdamW leaves p (1 - lr decay): 1 - 0.5 * 0.1 of every number."""
+    rates = OptimiserSettings(lr=0.5, lr_cross=0.5, lr_task=0.5, weight_decay=0.1)
+    subject = make_subject(material, backbone, optimiser=rates)
+    before = [p.detach().clone() for p in subject.prompts.parameters()]
+    for parameter in subject.prompts.parameters():
+        parameter.grad = torch.zeros_like(parameter)
+    subject.optimizer.step()
+    for parameter, value in zip(subject.prompts.parameters(), before, strict=True):
+        torch.testing.assert_close(parameter.detach(), 0.95 * value)

@@ -59,3 +59,17 @@ def test_refusals():
 def test_columns_without_spread_do_not_divide_by_zero():
     still = Transitions(np.ones((4, 3), np.float32), np.ones(4, np.float32))
     assert torch.isfinite(RewardModel([still], 4, 0)(torch.ones(1, 3))).all()
+
+
+def test_what_no_training_task_showed_counts_as_ten_standard_deviations():
+    """Mean 0, standard deviation 1."""
+    inputs = np.array([[-1.0], [1.0]], np.float32)
+    model = RewardModel([Transitions(inputs, np.array([0.0, 1.0], np.float32))], 4, 0)
+    near, edge, far = model(torch.tensor([[9.0], [10.0], [1e6]]))
+    assert near != edge and edge == far
+
+
+def test_no_weight_is_negative():
+    """3 a - 2 b would fit exactly; of sums of two weights above 0 the first alone is nearest."""
+    columns = np.array([[1.0, 0.0], [0.0, 1.0]])
+    np.testing.assert_array_equal(convex_fit(columns, np.array([3.0, -2.0])), [1.0, 0.0])

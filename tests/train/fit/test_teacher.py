@@ -76,3 +76,8 @@ def test_equal_policies_have_no_mpt_loss_and_the_teacher_stays_as_it_was(tiny_fi
 def test_settings_out_of_range(name, wrong):
     with pytest.raises(UsageError, match=f"teacher.{name}: setting out of range"):
         TeacherSettings(**{name: wrong})
+
+
+def test_a_target_without_variance_does_not_divide_by_zero():
+    assert missed_variance(torch.ones(3, 2), torch.ones(3, 2)).item() == 0.0
+    assert missed_variance(torch.zeros(3, 2), torch.ones(3, 2)).isfinite()

@@ -325,3 +325,33 @@ def test_a_stopped_run_adds_up_what_it_cost(tiny_file, tmp_path):
     (tmp_path / "r/spent.json").write_text('{"training_s": 1000.0}')
     assert call(*arguments) == 0
     assert results_of(tmp_path / "r")["seconds"]["training"] > 1000
+
+
+def test_every_checkpoint_and_all_weights_find_their_lines_on_the_disk(
+    tiny_file, tmp_path, monkeypatch
+):
+    """A power loss after a checkpoint must not leave a log shorter than the checkpoint says."""
+    from mpdt.train.fit import checkpoint
+    from mpdt.train.fit.log import MetricsLog
+    from mpdt.train.run import trainer
+
+    events = []
+    sync = MetricsLog.sync
+
+    def note(self):
+        events.append(f"log {self.size_bytes}")
+        sync(self)
+
+    monkeypatch.setattr(MetricsLog, "sync", note)
+    for module in (checkpoint, trainer):
+        save = module.save_weights
+
+        def noted(path, tensors, header, save=save):
+            events.append(f"weights {header.settings['metrics_bytes']}")
+            save(path, tensors, header)
+
+        monkeypatch.setattr(module, "save_weights", noted)
+    assert call("--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r", "-q") == 0
+    saved = [row for row, event in enumerate(events) if event.startswith("weights")]
+    assert len(saved) >= 4
+    assert all(events[row - 1] == events[row].replace("weights", "log") for row in saved)

@@ -8,8 +8,10 @@ import time
 from pathlib import Path
 
 import pytest
+from safetensors.torch import load_file, save_file
 
 from mpdt.errors import FormatError, StorageError, TrainingError
+from mpdt.model.backbone import load_backbone
 from mpdt.train.fit.data import load_material
 from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.folder import FORMAT, claimed, inspect, locate, stored_settings
@@ -143,3 +145,18 @@ def test_one_training_task_is_too_few_for_a_shared_prompt(tiny_file, tmp_path, m
     assert call(*arguments) == 1
     assert "expected at least 2 training tasks" in capsys.readouterr().err
     assert not (tmp_path / "one").exists()
+
+
+def test_a_language_model_that_is_not_whole_is_refused_before_training(
+    tiny_file, tmp_path, monkeypatch, capsys
+):
+    """Saved from a compiled model: every name has a prefix, and the library would draw others."""
+    monkeypatch.chdir(tmp_path)
+    load_backbone("random:tiny-llama").model.save_pretrained("compiled")
+    weights = tmp_path / "compiled" / "model.safetensors"
+    renamed = {f"_orig_mod.{name}": value for name, value in load_file(weights).items()}
+    save_file(renamed, weights, metadata={"format": "pt"})
+    assert call("--data", tiny_file, "--name", "r", *QUICK, "--backbone.name", "compiled") == 2
+    error = capsys.readouterr().err
+    assert error.count("does not fit this language model") == 1 and "Traceback" not in error
+    assert names_in(tmp_path) == ["compiled"]

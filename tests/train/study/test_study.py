@@ -3,6 +3,7 @@
 import copy
 import json
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -11,6 +12,7 @@ from mpdt.train.cli import main
 from mpdt.train.evaluate.score import MEAN, Score, encode_results
 from mpdt.train.run.progress import Progress
 from mpdt.train.study import plans as studies
+from mpdt.train.study import study
 from mpdt.train.study.plans import STUDIES, Cell, get_study
 from mpdt.train.study.study import Places, configure, encode_cell, inspect_cell, run_study
 from mpdt.train.study.summary import (
@@ -126,6 +128,19 @@ def call(*arguments):
     with pytest.raises(SystemExit) as stopped:
         main([str(argument) for argument in arguments])
     return stopped.value.code
+
+
+def test_one_cell_per_data_set_keeps_its_prompts(places, monkeypatch):
+    """It keeps them anew when it is run again."""
+    monkeypatch.setattr(study, "run_pipeline", lambda *arguments: {"scores": []})
+    monkeypatch.setattr(study, "keep_prompts", lambda weights, path: path.write_text(str(weights)))
+    second = replace(TWO, seed=2)
+    states([TWO, second], places, restart=True)
+    assert places.prompts(TWO).exists() and not places.prompts(second).exists()
+    places.prompts(TWO).write_text("of before")
+    states([TWO], places, restart=True)
+    assert places.prompts(TWO).read_text() != "of before"
+    assert places.may_keep_prompts(replace(TWO, data="other")), "another data set has its own"
 
 
 def test_study_and_report_as_typed(places, monkeypatch, capsys, tmp_path):

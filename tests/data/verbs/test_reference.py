@@ -9,7 +9,7 @@ import pytest
 
 from mpdt.data.cli import main
 from mpdt.data.sim import measure as module
-from mpdt.data.verbs.measure import table
+from mpdt.data.verbs.reference import table
 
 
 def row(policy: str, mean: float, error: float, share: float | None, **more: Any) -> dict[str, Any]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measure(Options):
+class Reference(Options):
     """Measure what zero, random, the best constant and the expert earn on every task.
 
     The references of the shipped entries are shipped too. Those measured here win over them in
@@ -57,7 +57,7 @@ class Measure(Options):
 
     def run(self) -> None:
         from mpdt.data.sim.measure import KINDS, measure
-        from mpdt.data.sim.references import LOCAL_FILE
+        from mpdt.data.sim.record import LOCAL_FILE
         from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.workers.processes import default_workers
         from mpdt.errors import unknown_name

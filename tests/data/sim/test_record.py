@@ -15,7 +15,7 @@ import pytest
 from mpdt.data.reference import Reference
 from mpdt.data.sim import record as module
 from mpdt.data.sim.portions import Player, Portion, expert_ladder, score_of
-from mpdt.data.sim.references import (
+from mpdt.data.sim.record import (
     LOCAL_FILE,
     Entry,
     Score,
@@ -33,7 +33,7 @@ from mpdt.data.sim.references import (
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.tasks import get_family
-from mpdt.errors import DataError, StorageError
+from mpdt.errors import DataError
 
 FORWARD = get_family("cheetah_dir").tasks[0]
 
@@ -117,7 +117,7 @@ def test_another_format_and_another_kind_of_file_are_refused(tmp_path: Path) -> 
     with pytest.raises(DataError, match="another format"):
         load_entries(path)
     (tmp_path / "folder").mkdir()
-    with pytest.raises(StorageError):
+    with pytest.raises(DataError, match="a folder, not a file"):
         load_entries(tmp_path / "folder")
 
 
