@@ -17,8 +17,16 @@ from fsspec.registry import known_implementations
 
 from mpdt.data.remote import objects
 from mpdt.data.remote.address import hidden, without_secrets
+from mpdt.data.remote.failure import (
+    NoRangesError,
+    RefusedError,
+    is_absence,
+    missing_package,
+    refusal,
+    status_of,
+)
 from mpdt.disk import put_file, write_bytes
-from mpdt.errors import MissingFileError, MpdtError, RemoteError, UsageError, unknown_name
+from mpdt.errors import MissingFileError, MpdtError, RemoteError, unknown_name
 
 CHUNK_BYTES = 1 << 18
 MOST_TEXT_BYTES = 1 << 24  # of a list of sums; 100,000 files have one of 10 MB
@@ -27,14 +35,6 @@ _READ_ONLY = {"http", "https"}
 # What file systems call the state of a file. An access time is none.
 _VERSIONS = ("ETag", "etag", "Content-MD5", "md5", "sha256", "blob_id", "oid", "mtime",
              "modified", "last_modified", "LastModified", "Last-Modified")  # fmt: skip
-
-
-class RefusedError(RemoteError):
-    """The other side knows who asks, or does not, and will not."""
-
-
-class NoRangesError(RemoteError):
-    """A web server that sends whole files only."""
 
 
 class Place:
@@ -231,68 +231,20 @@ class Place:
         except MpdtError:
             raise
         except ImportError as error:
-            raise _missing_package(self.address, self.protocol, error) from None
+            raise missing_package(self.address, self.protocol, error) from None
         except Exception as error:  # noqa: BLE001  the libraries share no base class
             if connecting and isinstance(error, ValueError) and "not known" in str(error):
                 raise unknown_name("protocol", self.protocol, known_implementations,
                                    where=self.address) from None  # fmt: skip
-            if _is_absence(error):
+            if is_absence(error):
                 raise MissingFileError("no such file", where=self.address) from None
-            raise _refusal(self.address, self._words(error.__cause__ or error), error) from None
+            raise refusal(self.address, self._words(error.__cause__ or error), error) from None
 
     def _words(self, error: BaseException) -> str:
         text = without_secrets(str(error), self._url).strip()
-        status = _status(error)
+        status = status_of(error)
         text = text or (f"status {status}" if status else "")
         return f"{type(error).__name__}: {text}"[:300] if text else type(error).__name__
-
-
-def _missing_package(address: str, protocol: str, error: ImportError) -> MpdtError:
-    """fsspec names the package of every protocol it knows."""
-    known = known_implementations.get(protocol, {}).get("err") or str(error)
-    return UsageError(f"{protocol} needs a package that is not installed", where=address,
-                      found=known,
-                      hint="install it with pip; 'mpdt[remote]' brings those of sftp, webdav "
-                           "and http")  # fmt: skip
-
-
-def _status(error: BaseException | None) -> int | None:
-    """Of an HTTP answer, in the ways of aiohttp, requests and httpx."""
-    answer = getattr(error, "response", error)
-    found = getattr(answer, "status", None) or getattr(answer, "status_code", None)
-    return found if isinstance(found, int) else None
-
-
-def _is_absence(error: Exception) -> bool:
-    """Whether the other side said that there is no such file.
-
-    fsspec's HTTP raises FileNotFoundError whatever went wrong; its cause tells.
-    """
-    cause = error.__cause__
-    if _status(error) in (404, 410) or _status(cause) in (404, 410):
-        return True
-    if objects.is_absent(error):
-        return True
-    if "ResourceNotFound" in {type(error).__name__, type(cause).__name__}:  # webdav4's
-        return True
-    missing = (FileNotFoundError, NotADirectoryError)
-    return isinstance(error, missing) and (cause is None or isinstance(cause, missing))
-
-
-def _refusal(address: str, words: str, error: Exception) -> MpdtError:
-    if isinstance(error, ValueError) and "range requests" in str(error):
-        return NoRangesError("the server sends whole files only", where=address, found=words)
-    denied = isinstance(error, PermissionError) or "Authentication" in type(error).__name__
-    if (
-        denied
-        or objects.is_denied(error)
-        or {_status(error), _status(error.__cause__)} & {401, 403}
-    ):
-        return RefusedError("no permission", where=address, found=words,
-                            hint="credentials come from the library's own places, see "
-                                 "docs/remote.md")  # fmt: skip
-    return RemoteError("cannot be reached, or the connection broke", where=address, found=words,
-                       hint="the same command goes on from here")  # fmt: skip
 
 
 def _known_hosts_only() -> Any:

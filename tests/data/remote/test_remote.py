@@ -259,7 +259,7 @@ def test_passwords_appear_nowhere(
     """Not in results, errors, usage, tracebacks, hints after Ctrl-C, notes or lists."""
 
     def interrupted(*words: object, **options: object) -> None:
-        raise KeyboardInterrupt
+        signal.raise_signal(signal.SIGINT)
 
     name, port = os.environ["USER"], sftp.port
     good = f"sftp://{name}:s3cret@127.0.0.1:{port}{tmp_path}/x.h5"

@@ -1,0 +1,68 @@
+"""What dozens of libraries raise about another place, as one of our errors.
+
+They share no base class: fsspec's HTTP raises FileNotFoundError whatever went wrong, webdav4,
+paramiko, httpx and pyarrow have errors of their own.
+"""
+
+from __future__ import annotations
+
+from fsspec.registry import known_implementations
+
+from mpdt.data.remote import objects
+from mpdt.errors import MpdtError, RemoteError, UsageError
+
+
+class RefusedError(RemoteError):
+    """The other side knows who asks, or does not, and will not."""
+
+
+class NoRangesError(RemoteError):
+    """A web server that sends whole files only."""
+
+
+def missing_package(address: str, protocol: str, error: ImportError) -> MpdtError:
+    """fsspec names the package of every protocol it knows."""
+    known = known_implementations.get(protocol, {}).get("err") or str(error)
+    return UsageError(f"{protocol} needs a package that is not installed", where=address,
+                      found=known,
+                      hint="install it with pip; 'mpdt[remote]' brings those of sftp, webdav "
+                           "and http")  # fmt: skip
+
+
+def status_of(error: BaseException | None) -> int | None:
+    """Of an HTTP answer, in the ways of aiohttp, requests and httpx."""
+    answer = getattr(error, "response", error)
+    found = getattr(answer, "status", None) or getattr(answer, "status_code", None)
+    return found if isinstance(found, int) else None
+
+
+def is_absence(error: Exception) -> bool:
+    """Whether the other side said that there is no such file.
+
+    fsspec's HTTP raises FileNotFoundError whatever went wrong; its cause tells.
+    """
+    cause = error.__cause__
+    if status_of(error) in (404, 410) or status_of(cause) in (404, 410):
+        return True
+    if objects.is_absent(error):
+        return True
+    if "ResourceNotFound" in {type(error).__name__, type(cause).__name__}:  # webdav4's
+        return True
+    missing = (FileNotFoundError, NotADirectoryError)
+    return isinstance(error, missing) and (cause is None or isinstance(cause, missing))
+
+
+def refusal(address: str, words: str, error: Exception) -> MpdtError:
+    if isinstance(error, ValueError) and "range requests" in str(error):
+        return NoRangesError("the server sends whole files only", where=address, found=words)
+    denied = isinstance(error, PermissionError) or "Authentication" in type(error).__name__
+    if (
+        denied
+        or objects.is_denied(error)
+        or {status_of(error), status_of(error.__cause__)} & {401, 403}
+    ):
+        return RefusedError("no permission", where=address, found=words,
+                            hint="credentials come from the library's own places, see "
+                                 "docs/remote.md")  # fmt: skip
+    return RemoteError("cannot be reached, or the connection broke", where=address, found=words,
+                       hint="the same command goes on from here")  # fmt: skip
