@@ -7,13 +7,18 @@ wrong place shows where it came from.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mpdt.data.episode import Episode, PolicyInfo
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import TaskRow
+
+if TYPE_CHECKING:
+    from mpdt.train.fit.trained import Trained
+    from mpdt.train.run.prepare import Prepared
 
 UNIFORM, FINAL = bytes(range(32)), bytes([7] * 32)
 """Hashes of two policies: the first rung of a ladder and the last."""
@@ -86,3 +91,34 @@ def tta_source_of(
     episodes: Sequence[Episode], presets: dict[int, float], rule: dict[str, Any]
 ) -> TtaSource:
     return TtaSource(episodes, len(episodes), sum(e.length for e in episodes), presets, rule)
+
+
+def make_trained(data: Path, method: str = "MPDT", *words: str) -> tuple[Prepared, Trained]:
+    """A policy of that method which was never trained, over the tasks of `data`."""
+    import tyro
+
+    from mpdt.model.backbone import from_settings
+    from mpdt.train.run.build import build
+    from mpdt.train.run.config import TrainConfig
+    from mpdt.train.run.methods import apply_method
+    from mpdt.train.run.prepare import prepare
+    from mpdt.train.run.presets import get_preset
+
+    preset = apply_method(get_preset("smoke"), method)
+    prepared = prepare(tyro.cli(TrainConfig, default=preset, args=list(words)), str(data))
+    return prepared, build(prepared, from_settings(prepared.config.backbone)).trained({})
+
+
+def make_bundle(target: Path, prepared: Prepared, trained: Trained) -> Path:
+    """Its bundle."""
+    from mpdt.train.bundle.card import card_of
+    from mpdt.train.bundle.contents import contents_of, own_prompts
+    from mpdt.train.bundle.write import write_bundle
+    from mpdt.train.run.config import to_plain
+
+    contents = contents_of(
+        trained, [own_prompts(trained)], to_plain(prepared.config), "made",
+        prepared.identity.hashes,
+    )  # fmt: skip
+    write_bundle(target, contents, card_of(contents.config, []))
+    return target

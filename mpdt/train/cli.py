@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from mpdt.data.remote.address import hide
 from mpdt.errors import MpdtError, visible
 from mpdt.pipe import reader_may_leave
 from mpdt.train.options import (
@@ -38,6 +39,8 @@ from mpdt.train.options import (
     Bundle,
     Command,
     Evaluate,
+    Pull,
+    Push,
     Report,
     Rollout,
     Run,
@@ -55,7 +58,7 @@ PROG = "mpdt-train"
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of the script. Exits with the code of the error; 130 or 143 if stopped."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    arguments = hide(sys.argv[1:] if argv is None else argv)  # no password reaches a message
     verb = arguments.pop(0) if arguments and not arguments[0].startswith("-") else "run"
     # Until a run listens nothing is begun that could be lost, and libraries in the middle of
     # their import answer KeyboardInterrupt with anything from a traceback to silence.
@@ -114,6 +117,8 @@ def execute(command: Command, rest: list[str]) -> int:
         return _bundle(command)
     if isinstance(command, Rollout):
         return _roll_out(command)
+    if isinstance(command, Push | Pull):
+        return _travel(command)
     return _study(command) if isinstance(command, Study) else _report(command)
 
 
@@ -255,6 +260,23 @@ def _bundle(command: Bundle) -> int:
     config = write_bundle(command.output, contents, card_of(contents.config, scores))
     size = sum(file.size for file in config.files.values())
     sys.stdout.write(f"{command.output}   {size / 1e6:.1f} MB\n")
+    return 0
+
+
+def _travel(command: Push | Pull) -> int:
+    from mpdt.data.remote.address import revealed
+    from mpdt.train.bundle.travel import pull_bundle, push_bundle
+
+    def say(line: str) -> None:
+        if not command.quiet:
+            sys.stderr.write(f"{line}\n")
+
+    url = revealed(command.url)
+    if isinstance(command, Push):
+        text = push_bundle(command.folder, url, command.replace, command.check, say)
+    else:
+        text = pull_bundle(url, command.output, say)
+    sys.stdout.write(text + "\n")
     return 0
 
 

@@ -187,8 +187,44 @@ class Rollout:
     """Show tracebacks."""
 
 
-Command = Run | Settings | Evaluate | Study | Report | Bundle | Rollout
+@dataclass(frozen=True)
+class Push:
+    """Send a policy's bundle to a URL, as mpdt-data push sends data.
+
+    sftp://, webdav(s)://, s3://, gs://, az://, a mounted folder, hf://OWNER/NAME, where the hub
+    shows its card. It is proved before, read back and compared; a broken transfer goes on.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    """The bundle, such as runs/ml10-base/policy."""
+    url: tyro.conf.Positional[str]
+    """Where it shall be; one that ends with / gets the name of the folder."""
+    replace: bool = False
+    """Also if something else is there."""
+    check: bool = True
+    """Read back what was sent; otherwise only its size counts."""
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
+    """No progress on stderr."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Bring a policy's bundle from a URL; it appears when every byte is proved."""
+
+    url: tyro.conf.Positional[str]
+    """What to bring; https:// as well."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder to put it in; default: its own name, here. Nothing is replaced."""
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
+    """No progress on stderr."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+Command = Run | Settings | Evaluate | Study | Report | Bundle | Rollout | Push | Pull
 COMMANDS: dict[str, type[Command]] = {
     "run": Run, "settings": Settings, "adapt": Adapt, "evaluate": Evaluate, "study": Study,
-    "report": Report, "bundle": Bundle, "rollout": Rollout,
+    "report": Report, "bundle": Bundle, "rollout": Rollout, "push": Push, "pull": Pull,
 }  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from mpdt.errors import UsageError
 
@@ -12,7 +12,16 @@ if TYPE_CHECKING:
     from mpdt.data.remote.place import Place
 
 
-def commit(place: Place, files: Mapping[str, Path], list_path: str, listed: bytes) -> int:
+Kind = Literal["dataset", "model"]
+"""What a repository holds: data, or a policy."""
+_ADDRESSES: dict[Kind, str] = {
+    "dataset": "hf://datasets/OWNER/NAME[/PATH]", "model": "hf://OWNER/NAME[/PATH]",
+}  # fmt: skip
+
+
+def commit(
+    place: Place, files: Mapping[str, Path], list_path: str, listed: bytes, kind: Kind
+) -> int:
     """Send files and their list of sums, all at once or not at all; returns the bytes sent.
 
     The library sends large files in pieces and does not send again what the hub has, so that a
@@ -24,9 +33,9 @@ def commit(place: Place, files: Mapping[str, Path], list_path: str, listed: byte
     from huggingface_hub import CommitOperationAdd, HfApi
     from huggingface_hub.errors import RepositoryNotFoundError
 
-    if not place.address.startswith("hf://datasets/"):
-        raise UsageError("not a dataset repository", where=place.address,
-                         expected="hf://datasets/OWNER/NAME[/PATH]")  # fmt: skip
+    if _kind_of(place.address) != kind:
+        raise UsageError(f"not a {kind} repository", where=place.address,
+                         expected=_ADDRESSES[kind])  # fmt: skip
     contents: dict[str, Path | bytes] = {**files, list_path: listed}
     with place.told():
         try:
@@ -37,11 +46,16 @@ def commit(place: Place, files: Mapping[str, Path], list_path: str, listed: byte
             ]
             HfApi(place.fs.endpoint, place.fs.token).create_commit(
                 target.repo_id, operations, repo_type=target.repo_type, revision=target.revision,
-                commit_message=f"{len(files)} file{'s' * (len(files) != 1)} from mpdt-data push",
+                commit_message=f"{len(files)} file{'s' * (len(files) != 1)} from mpdt",
             )  # fmt: skip
         except (RepositoryNotFoundError, FileNotFoundError):
             raise UsageError("no such repository, or none that you may write to",
                              where=place.address,
-                             hint="hf repo create OWNER/NAME --repo-type dataset; --private if "
+                             hint=f"hf repo create OWNER/NAME --repo-type {kind}; --private if "
                                   "it is not for all") from None  # fmt: skip
     return sum(path.stat().st_size for path in files.values())
+
+
+def _kind_of(address: str) -> str:
+    first = address.removeprefix("hf://").partition("/")[0]
+    return {"datasets": "dataset", "spaces": "space"}.get(first, "model")

@@ -41,14 +41,15 @@ class Pushed:
 
 def push(
     source: Path, url: str, replace: bool = False, check: bool = True,
-    tell: Tell = lambda *_: None,
+    tell: Tell = lambda *_: None, kind: hub.Kind = "dataset",
 ) -> Pushed:  # fmt: skip
-    """Send a dataset file, or a folder that `export` wrote.
+    """Send a dataset file, a folder that `export` wrote, or a policy's bundle.
 
     Args:
         url: where it shall be; one that ends with a slash gets the name of `source`.
         replace: also if something else is there.
         check: read back what was sent and compare; else its size alone counts.
+        kind: of the repository, where `url` is a hub's.
     Raises: MissingFileError, RemoteError; DataError for a source that is not whole, for something
         else at `url`, and for what arrived damaged; UsageError for http and unknown protocols.
     """
@@ -66,7 +67,7 @@ def push(
             raise BusyError("another process wrote it meanwhile", where=str(source),
                             hint="the same command sends what is there now")  # fmt: skip
         with _held(place):
-            return _push(place, source, sums, replace, check, tell)
+            return _push(place, source, sums, replace, check, tell, kind)
 
 
 @contextmanager
@@ -82,7 +83,8 @@ def _held(place: Place) -> Iterator[None]:
 
 
 def _push(
-    place: Place, source: Path, sums: dict[str, str], replace: bool, check: bool, tell: Tell
+    place: Place, source: Path, sums: dict[str, str], replace: bool, check: bool, tell: Tell,
+    kind: hub.Kind,
 ) -> Pushed:  # fmt: skip
     if source.is_file():
         base, list_path = place.path, place.path + SUFFIX
@@ -97,7 +99,8 @@ def _push(
     moved = 0
     if place.protocol == "hf":
         if missing or place.read(list_path) != listed:
-            moved = hub.commit(place, {path: files[path] for path in missing}, list_path, listed)
+            new = {path: files[path] for path in missing}
+            moved = hub.commit(place, new, list_path, listed, kind)
         for path in missing:
             _compare(place, path, files[path], digests[path], check)
     else:

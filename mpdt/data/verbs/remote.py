@@ -44,7 +44,7 @@ class Push(Options):
 
         found = push(
             self.source, revealed(self.url), replace=self.replace, check=self.check,
-            tell=_line_writer("push", self.say),
+            tell=line_writer("push", self.say),
         )  # fmt: skip
         result = {
             "url": found.address,
@@ -53,7 +53,7 @@ class Push(Options):
             "moved_bytes": found.num_new_bytes,
             "checked": found.checked,
         }
-        self.print(result, _summary("pushed ", found.address, *list(result.values())[1:4]))
+        self.print(result, summary("pushed ", found.address, *list(result.values())[1:4]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,9 +85,7 @@ class Pull(Options):
         from mpdt.data.spec.catalog import load_catalog
 
         lock = lock_path(load_catalog(self.spec).path) if self.locked else None
-        found = pull(
-            revealed(self.url), self.output, lock=lock, tell=_line_writer("pull", self.say)
-        )
+        found = pull(revealed(self.url), self.output, lock=lock, tell=line_writer("pull", self.say))
         result = {
             "path": str(found.path),
             "files": found.num_files,
@@ -96,13 +94,13 @@ class Pull(Options):
             "proof": found.proof,
             "content_hash": found.content_hash or None,
         }
-        text = _summary("pulled ", str(found.path), *list(result.values())[1:4])
+        text = summary("pulled ", str(found.path), *list(result.values())[1:4])
         if found.content_hash:
             text += f"   content {found.content_hash[:8]}"
         self.print(result, text)
 
 
-def _summary(verb: str, what: str, files: object, size: object, moved: object) -> str:
+def summary(verb: str, what: str, files: object, size: object, moved: object) -> str:
     """`pulled  x.h5   54.2 MB`, and how many of them were there already."""
     assert isinstance(files, int) and isinstance(size, int) and isinstance(moved, int)
     if not moved:
@@ -113,7 +111,7 @@ def _summary(verb: str, what: str, files: object, size: object, moved: object) -
     return text + (f"   {(size - moved) / 1e6:.1f} MB were there already" if size > moved else "")
 
 
-def _line_writer(verb: str, say: Callable[[str], None]) -> Callable[[str, int, int | None], None]:
+def line_writer(verb: str, say: Callable[[str], None]) -> Callable[[str, int, int | None], None]:
     """`pull     12.0 / 54.2 MB  x.h5`, once in 10 s, and where an interrupted one goes on."""
     pace = Pace()
     names: set[str] = set()

@@ -95,7 +95,11 @@ def _backbone(config: BundleConfig, parts: Mapping[str, Tensor]) -> Backbone:
                 raise FormatError(f"tensor 'backbone.{name}'", expected=str(wanted),
                                   found=str(tensor.dtype))  # fmt: skip
         model = light_model(facts.shape, parts)
-        backbone = Backbone(facts.name, model, dtype, whole=facts.fingerprint)
+        # Marked as in training: torch multiplies by weights that may be trained in another way,
+        # and rounds otherwise.
+        backbone = Backbone(
+            facts.name, model, dtype, frozen=facts.trained != "all", whole=facts.fingerprint
+        )
     backbone.reads_adapters = config.reads_adapters
     return backbone
 
@@ -113,12 +117,12 @@ def _policy(
     own = {
         name: tuple(value.shape)
         for name, value in policy.own_state().items()
-        if name not in IN_CONFIG
+        if name not in IN_CONFIG and not name.startswith("backbone.")
     }
     check_shapes(own, state, "policy")
     _check_float32(state)
     policy.load_state_dict(dict(state), strict=False, assign=True)
-    return policy.requires_grad_(False)
+    return policy
 
 
 def _check_prompts(

@@ -106,9 +106,10 @@ def _said(config: BundleConfig) -> str:
     facts = config.backbone
     depth = "all" if facts.depth is None else str(facts.depth)
     where = f"in {MODEL}" if facts.shape else "not inside: read by name, and compared"
-    trained = "trained" if facts.trained else "frozen"
+    trained = {"none": "frozen", "additions": "trained by low-rank additions", "all": "trained"}
     text = f"{facts.name} {facts.revision}".strip()
-    return f"{text}, {depth} blocks, {facts.dtype}, {trained}, {where}; weights {facts.fingerprint}"
+    text += f", {depth} blocks, {facts.dtype}, {trained[facts.trained]}, {where}"
+    return f"{text}; weights {facts.fingerprint}"
 
 
 def _prompt_table(config: BundleConfig) -> Table:

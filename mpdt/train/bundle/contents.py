@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from math import isnan
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import torch
@@ -82,7 +82,7 @@ def prompts_of(candidate: Candidate, rows: Sequence[int], returns: ReturnTable) 
 def without_backbone(contents: Contents) -> Contents:
     """The same with the language model's blocks left out and named. Raises: UsageError."""
     facts = contents.config.backbone
-    if facts.trained:
+    if facts.trained != "none":
         raise _was_trained(contents.config.training.method)
     config = msgspec.structs.replace(
         contents.config, backbone=msgspec.structs.replace(facts, shape=None)
@@ -159,10 +159,13 @@ def _backbone(
         raise _was_trained(str(settings["method"]))
     shape = shape_of(backbone.model) if inside else None
     parts = {} if shape is None else parts_of(backbone.model, shape)
+    trained: Literal["none", "additions", "all"] = "additions" if asked.lora_rank else "all"
+    if backbone.frozen:
+        trained = "none"
     facts = BackboneFacts(
         name=backbone.name, revision=_revision(backbone), fingerprint=backbone.fingerprint,
         depth=asked.depth, dtype="bfloat16" if backbone.dtype == torch.bfloat16 else "float32",
-        seed=asked.seed, trained=not backbone.frozen, shape=shape,
+        seed=asked.seed, trained=trained, shape=shape,
     )  # fmt: skip
     return facts, {BACKBONE + key: value for key, value in parts.items()}
 

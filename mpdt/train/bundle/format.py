@@ -119,8 +119,8 @@ class BackboneFacts(_Part, frozen=True, kw_only=True):
     dtype: Literal["float32", "bfloat16"]
     seed: int
     """Of a random one."""
-    trained: bool
-    """Its weights were trained as well."""
+    trained: Literal["none", "additions", "all"]
+    """Of its weights: additions of low rank are in the blocks already."""
     shape: ModelShape | None
     """Of the blocks in this bundle; None = they were left out, and are read by name."""
 

@@ -156,7 +156,7 @@ def _check(config: BundleConfig) -> None:
     if not 0 <= config.inputs.time_table <= MOST_POSITIONS:
         raise ValueError(f"time_table {config.inputs.time_table}")
     shape = config.backbone.shape
-    if shape is None and config.backbone.trained:
+    if shape is None and config.backbone.trained != "none":
         raise ValueError("a trained language model was left out")
     if shape is not None:
         sizes = [getattr(shape, field) for field in shape.__struct_fields__]

@@ -8,10 +8,13 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 from mpdt.disk import disk
-from mpdt.train.bundle.read import is_bundle
+from mpdt.train.bundle.read import is_bundle, read_contents
+
+# What connects (fsspec and those behind it) is imported by those alone who connect.
 
 
 def fetched(url: str) -> Path:
@@ -22,7 +25,6 @@ def fetched(url: str) -> Path:
     target = cache_folder() / cached_name(url)
     if is_bundle(target):
         return target
-    # What connects is asked for by those alone who connect.
     from mpdt.data.remote.pull import pull
 
     with disk(target):
@@ -41,3 +43,34 @@ def cache_folder() -> Path:
     """`$XDG_CACHE_HOME/mpdt/policies`; may be deleted at any time."""
     root = os.environ.get("XDG_CACHE_HOME")
     return (Path(root) if root else Path.home() / ".cache") / "mpdt" / "policies"
+
+
+def push_bundle(
+    folder: Path, url: str, replace: bool, check: bool, say: Callable[[str], None]
+) -> str:
+    """Send a bundle, every byte of which is proved before; a line about what was sent.
+
+    Args:
+        say: takes lines of progress.
+    Raises: as `mpdt.data.remote.push` and `read_contents`.
+    """
+    from mpdt.data.remote.push import push
+    from mpdt.data.verbs.remote import line_writer, summary
+
+    read_contents(folder)
+    sent = push(folder, url, replace, check, line_writer("push", say), kind="model")
+    return summary("pushed ", sent.address, sent.num_files, sent.num_bytes, sent.num_new_bytes)
+
+
+def pull_bundle(url: str, target: Path | None, say: Callable[[str], None]) -> str:
+    """Bring a bundle, proved by its list of sums and then by its own digests; a line about it.
+
+    Args, Raises: as `mpdt.data.remote.pull` and `read_contents`.
+    """
+    from mpdt.data.remote.pull import pull
+    from mpdt.data.verbs.remote import line_writer, summary
+
+    found = pull(url, target, tell=line_writer("pull", say))
+    read_contents(found.path)
+    return summary("pulled ", str(found.path), found.num_files, found.num_bytes,
+                   found.num_new_bytes)  # fmt: skip

@@ -21,20 +21,26 @@ Loop = Any
 
 
 class Hub:
-    """One repository, `datasets/me/set`. Takes a commit for the token `hf_right` alone."""
+    """A repository, `datasets/me/set`, and `me/policy` of models with the same files.
+
+    Takes a commit for the token `hf_right` alone.
+    """
 
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
         self.commits: list[list[str]] = []
+        self.cards: list[dict[str, Any]] = []
         app = web.Application(client_max_size=1 << 28)
-        api = "/api/datasets/me/set"
-        app.router.add_get(api, self.repository)
-        app.router.add_get(api + "/revision/main", self.repository)
-        app.router.add_post(api + "/paths-info/main", self.paths_info)
-        app.router.add_get(api + "/tree/main{folder:.*}", self.tree)
-        app.router.add_post(api + "/preupload/main", self.preupload)
-        app.router.add_post(api + "/commit/main", self.commit)
-        app.router.add_get("/datasets/me/set/resolve/main/{path:.*}", self.resolve)
+        for api, files in (("/api/datasets/me/set", "/datasets/me/set"),
+                           ("/api/models/me/policy", "/me/policy")):  # fmt: skip
+            app.router.add_get(api, self.repository)
+            app.router.add_get(api + "/revision/main", self.repository)
+            app.router.add_post(api + "/paths-info/main", self.paths_info)
+            app.router.add_get(api + "/tree/main{folder:.*}", self.tree)
+            app.router.add_post(api + "/preupload/main", self.preupload)
+            app.router.add_post(api + "/commit/main", self.commit)
+            app.router.add_get(files + "/resolve/main/{path:.*}", self.resolve)
+        app.router.add_post("/api/validate-yaml", self.validate)
         app.router.add_route("*", "/{path:.*}", self.no_repository)
         self.runner = web.AppRunner(app, access_log=None)
 
@@ -45,6 +51,11 @@ class Hub:
 
     async def repository(self, request: web.Request) -> web.Response:
         return web.json_response({"id": "me/set", "sha": "0" * 40, "siblings": []})
+
+    async def validate(self, request: web.Request) -> web.Response:
+        """What the client asks before it sends a README.md."""
+        self.cards.append(await request.json())
+        return web.json_response({"errors": [], "warnings": []})
 
     async def no_repository(self, request: web.Request) -> web.Response:
         return web.Response(status=404, headers={"X-Error-Code": "RepoNotFound"})
