@@ -36,6 +36,7 @@ from mpdt.data.verbs.pages import Report, View
 from mpdt.data.verbs.reference import Reference
 from mpdt.data.verbs.remote import Pull, Push
 from mpdt.data.verbs.trust import Lock, Verify
+from mpdt.data.workers.processes import pin_kernel
 from mpdt.errors import MpdtError, UsageError, unknown_name, visible
 from mpdt.interruption import Interrupted, interruptible
 from mpdt.pipe import reader_may_leave
@@ -83,6 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _answer(argv: Sequence[str] | None) -> int:
     words = hide(sys.argv[1:] if argv is None else argv)  # no password reaches a message
+    pin_kernel()
     try:
         with interruptible():
             _parse(words).run()

@@ -80,7 +80,8 @@ def collect(
     weights only: not on the engine, interruptions or order.
 
     Args:
-        workers: processes; None = one per core, 0 = in this process.
+        workers: processes; None = one per core, 0 = in this process, with the BLAS kernel that
+            its numpy has: see `pin_kernel`.
         engine: somebody else who does the blocks, such as a Ray cluster.
         restart: ignore and delete what an earlier run left, and replace a finished file.
         lock: the lock file to compare with and to write to; None = there is none.

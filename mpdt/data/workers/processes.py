@@ -16,6 +16,7 @@ import multiprocessing
 import os
 import platform
 import signal
+import sys
 import threading
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -49,6 +50,17 @@ if platform.machine() == "x86_64":
     WORKER_ENVIRONMENT["OPENBLAS_CORETYPE"] = "Haswell"
 
 
+def pin_kernel() -> None:
+    """Let this process compute as its workers do, so that `--workers 0` gives the same bits.
+
+    OpenBLAS reads the variable when numpy is imported, so a program that did so before keeps the
+    kernel that it has.
+    """
+    kernel = WORKER_ENVIRONMENT.get("OPENBLAS_CORETYPE")
+    if kernel and "numpy" not in sys.modules:
+        os.environ["OPENBLAS_CORETYPE"] = kernel
+
+
 def default_workers() -> int:
     """Processor cores this process may use, at least 1."""
     return max(1, len(os.sched_getaffinity(0)))
@@ -62,8 +74,8 @@ def map_blocks(
     Args:
         function: picklable; each worker keeps its own copy, so it may cache simulators.
         items: picklable, each done exactly once.
-        workers: number of processes; 0 runs in this process (for tests and debugging; only
-            bit-identical if this process already has one BLAS thread).
+        workers: number of processes; 0 runs in this process, for tests and debugging. The same
+            bits only where `pin_kernel` came before numpy, as in `mpdt-data`.
 
     Raises: whatever `function` raised, with the worker's traceback as its cause; MpdtError if
     a worker died. Leaving the iterator early ends the workers.

@@ -15,7 +15,12 @@ from pathlib import Path
 
 import pytest
 
-from mpdt.data.workers.processes import THREAD_VARIABLES, default_workers, map_blocks
+from mpdt.data.workers.processes import (
+    THREAD_VARIABLES,
+    WORKER_ENVIRONMENT,
+    default_workers,
+    map_blocks,
+)
 from mpdt.errors import MpdtError
 
 # Workers can only be sent what they can import, so these tests use the standard library.
@@ -112,3 +117,22 @@ def _alive(pid: int) -> bool:
 
 def test_default_workers_is_positive() -> None:
     assert default_workers() >= 1
+
+
+def test_the_command_line_computes_with_the_workers_kernel(tmp_path: Path) -> None:
+    """`--workers 0` gave other bytes where OpenBLAS chooses another kernel than the pinned one."""
+    code = (
+        "import ctypes, glob, os\n"
+        "from mpdt.data.cli import main\n"
+        "assert main(['info', '--json']) == 0\n"
+        "import numpy\n"
+        "[path] = glob.glob(os.path.dirname(numpy.__file__) + '.libs/*openblas*')\n"
+        "name = ctypes.CDLL(path).scipy_openblas_get_corename64_\n"
+        "name.restype = ctypes.c_char_p\n"
+        "print('KERNEL', name().decode())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    kernel = WORKER_ENVIRONMENT.get("OPENBLAS_CORETYPE")
+    assert kernel is None or done.stdout.splitlines()[-1] == f"KERNEL {kernel}"
