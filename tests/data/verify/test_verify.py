@@ -14,6 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from makers import make_episode, make_header, source_of, tta_source_of
 
 from mpdt.data.lock.file import lock_bytes, read_lock
 from mpdt.data.lock.keeper import LockKeeper
@@ -21,6 +22,7 @@ from mpdt.data.store import provenance
 from mpdt.data.store.digest import episode_digest
 from mpdt.data.store.digests import Labels
 from mpdt.data.store.reader import open_dataset
+from mpdt.data.store.writer import write_file
 from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import CHECKS, verify
 from mpdt.errors import FormatError, UsageError
@@ -261,3 +263,39 @@ def test_episodes_that_share_only_their_ends_are_no_duplicates(change: Apply) ->
 
     report = verify(change(alike, seal=True), skip=["replay"])
     assert finding(report, "duplicates").outcome is Outcome.PASS
+
+
+@pytest.mark.parametrize(
+    ("horizon", "text"),
+    [(4, "longer than the horizon of 4: ep"), (6, "truncated before the horizon: episodes 0, 1")],
+)
+def test_episodes_end_where_their_spec_says(change: Apply, horizon: int, text: str) -> None:
+    """All have five steps."""
+
+    def respec(file: h5py.File) -> None:
+        spec = json.loads(file.attrs["spec"]) | {"horizon": horizon}
+        file.attrs["spec"] = json.dumps(spec)
+
+    assert text in finding(verify(change(respec), only=["flags"]), "flags").text
+
+
+def test_a_change_that_no_digest_covers_breaks_the_seal(change: Apply) -> None:
+    path = change(lambda file: file.attrs.modify("license", "MIT-0"), broken=True)
+    found = finding(verify(path, only=["hash"]), "hash")
+    assert found.outcome is Outcome.FAIL
+    assert found.text == "the seal is broken: something outside the episodes was changed"
+
+
+def test_a_cut_out_of_another_file_fails_hash(change: Apply, lock: Path) -> None:
+    path = change(lambda file: file.attrs.modify("parent", "1" * 64))
+    text = finding(verify(path, lock=lock, only=["hash"]), "hash").text
+    assert text.startswith("cut out of 11111111, but ")
+
+
+def test_a_preset_return_counts_as_it_was_typed(tmp_path: Path) -> None:
+    """0.1 has no float32, which is what the file keeps; the hash of the set is that of 0.1."""
+    episodes = [make_episode(2), make_episode(2, row=1)]
+    asked = tta_source_of([make_episode(2, quality=4)], {0: 0.1}, {"action_scale": 1.0})
+    data = write_file(tmp_path / "x.h5", make_header(episodes), source_of(episodes), {"x": asked})
+    assert float(data.tta["x"].preset_return[0]) != 0.1
+    assert finding(verify(data.path, only=["hash"]), "hash").outcome is Outcome.PASS
