@@ -50,6 +50,17 @@ def leak_slice(file: h5py.File) -> None:
     del file["stats"]
 
 
+def leak_other_slice(file: h5py.File) -> None:
+    leak_slice(file)
+    file.move("slices/train", "slices/mine")
+
+
+def widen_set(file: h5py.File) -> None:
+    actions = file["tta/default/steps/actions"][:]
+    del file["tta/default/steps/actions"]
+    file["tta/default/steps/actions"] = np.concatenate([actions, actions[:, :1]], axis=1)
+
+
 def miscount(file: h5py.File) -> None:
     file["stats/rewards/count"][:] = 80
 
@@ -93,6 +104,7 @@ def respec(file: h5py.File) -> None:
         (put("steps/observations", (5, 0), np.inf), True, "values", "not finite: episode 0"),
         (put("tta/default/steps/observations", (6, 4), np.nan), True, "values", "1 of tta default"),
         (put("steps/actions", (41, 2), 1.01), True, "values", "outside [-1, 1]: episode 8"),
+        (put("steps/actions", (159, 5), -1.01), True, "values", "outside [-1, 1]: episode 31"),
         (put("steps/truncations", 44, False), True, "flags", "no end flag on the last row: epis"),
         (end_early, True, "flags", "an end flag before the last row: episode 7"),
         (terminate_only, True, "flags", "not truncated at the horizon: episode 7"),
@@ -104,6 +116,7 @@ def respec(file: h5py.File) -> None:
         (put("episodes/task", 20, 2), False, "shapes", "task points outside its table of 2: ep"),
         (put("episodes/policy", 20, -1), False, "shapes", "policy points outside its table"),
         (put("goals/dim", 0, 9), False, "shapes", "/goals/dim points outside"),
+        (widen_set, False, "shapes", "(20, 7) columns instead of (20, 6) (tta default)"),
         (put("tta/default/episodes/start", 1, 4), False, "shapes", "episode 1 of tta default"),
         (put("episodes/return", 9, 5.1), False, "returns", "is not the sum of the rewards: epis"),
         (put("episodes/success", 9, True), False, "returns", "success is not any of its steps"),
@@ -115,6 +128,7 @@ def respec(file: h5py.File) -> None:
         (share_with_test, True, "duplicates", "train and test share episodes (tasks forward, back"),
         (leak_stats, False, "leak", "statistics saw test tasks: backward"),
         (leak_slice, False, "leak", "slice train holds test tasks: episodes 16, 17, 18 and 13"),
+        (leak_other_slice, False, "leak", "slice mine holds test tasks: episodes 16, 17, 18"),
         (miscount, False, "leak", "statistics of rewards are over 80 rows, their tasks have 160"),
         (order_slice, False, "leak", "slice expert has an id twice: episode 8"),
         (put("slices/expert", 0, 10), False, "leak", "slice expert is not ascending"),
@@ -125,6 +139,7 @@ def respec(file: h5py.File) -> None:
         (put("tta/default/episodes/preset_return", 1, np.nan), False, "tta", "no preset return: e"),
         (put("tta/default/steps/actions", (6, 0), 1.5), True, "tta", "[-1, 1]: episode 1 of tta d"),
         (another_order, True, "tta replay", "not in the order of their seed keys: episode 1"),
+        (put("tta/default/episodes/seed_key", (1, 4), 0), True, "tta", "seed keys: episode 1 of"),
         (pay, True, "replay", "other rewards when simulated again: episode 1"),
         (put("steps/actions", (7, 0), 0.5), True, "replay", "other rewards when simulated again"),
         (put("steps/observations", (7, 3), 0.5), True, "replay", "other observations when simul"),

@@ -299,3 +299,46 @@ def test_a_preset_return_counts_as_it_was_typed(tmp_path: Path) -> None:
     data = write_file(tmp_path / "x.h5", make_header(episodes), source_of(episodes), {"x": asked})
     assert float(data.tta["x"].preset_return[0]) != 0.1
     assert finding(verify(data.path, only=["hash"]), "hash").outcome is Outcome.PASS
+
+
+def test_equal_levels_are_in_no_order(change: Apply) -> None:
+    path = change(lambda file: file["episodes/return"].__setitem__(slice(0, 8), 2.5))
+    text = finding(verify(path, only=["quality"]), "quality").text
+    assert "forward: random 2.5 is not below medium 2.5" in text
+
+
+def test_a_return_of_no_number_is_the_sum_of_such_rewards(change: Apply) -> None:
+    """`values` names it once; the sum is what is stored."""
+
+    def unpaid(file: h5py.File) -> None:
+        file["steps/rewards"][3] = file["episodes/return"][0] = np.nan
+
+    assert outcomes(verify(change(unpaid), only=["returns"])) == set()
+
+
+def test_our_own_file_that_lost_a_seed_is_damaged(change: Apply) -> None:
+    path = change(lambda file: file["episodes/seed_key"].__setitem__(5, 4294967295))
+    report = verify(path, only=["replay"], replay="all")
+    assert outcomes(report) == {"replay"}
+    assert "without a seed" in finding(report, "replay").text
+
+
+def test_actions_that_avoid_the_middle_are_not_uniform(change: Apply) -> None:
+    """Of mean 0, but three times as far from it."""
+
+    def avoid(file: h5py.File) -> None:
+        actions = file["tta/default/steps/actions"]
+        actions[:] = np.where(np.arange(len(actions)) % 2, 0.99, -0.99)[:, None]
+
+    text = finding(verify(change(avoid), only=["tta"]), "tta").text
+    assert "spread of action component 0, 1, 2 is not that of uniform actions" in text
+    assert "mean" not in text
+
+
+def test_of_two_sets_of_one_rule_one_begins_the_other(change: Apply) -> None:
+    def add(file: h5py.File) -> None:
+        file.copy("tta/default", "tta/other")
+
+    assert outcomes(verify(change(add), only=["tta"])) == set()
+    path = change(lambda file: file["tta/other/episodes/digest"].__setitem__((0, 0), 1))
+    assert "default and other have one rule, but" in finding(verify(path, only=["tta"]), "tta").text
