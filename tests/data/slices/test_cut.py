@@ -221,3 +221,14 @@ def test_options_that_do_not_go_together(
 ) -> None:
     with pytest.raises(UsageError, match=text):
         split(file, cut, **options)  # type: ignore[arg-type]
+
+
+def test_the_best_share_is_rounded_up_and_of_equals_the_earlier(data: Dataset) -> None:
+    """Four experts per task, all of return 5: 0.3 of four are two, 0.25 are one."""
+    found = {
+        share: choose(data, Cut(quality="expert", return_top=share)).tolist()
+        for share in (0.25, 0.3, 0.5, 1.0)
+    }
+    assert found[0.25] == [8, 24]
+    assert found[0.3] == found[0.5] == [8, 9, 24, 25]
+    assert found[1.0] == [8, 9, 10, 11, 24, 25, 26, 27]
