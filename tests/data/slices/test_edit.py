@@ -179,7 +179,7 @@ def test_a_merged_file_may_only_replace_one_of_the_same_sources(
     parts = [cut_file(data, Cut(quality=name), tmp_path / f"{name}.h5")
              for name in ("random", "medium", "expert")]  # fmt: skip
     made = merge(parts[:2], tmp_path / "m.h5").dataset.content_hash
-    with pytest.raises(DataError, match="would replace another file.*of other sources"):
+    with pytest.raises(DataError, match=r"would replace another file.*of other sources"):
         merge(parts[1:], tmp_path / "m.h5")
     assert open_dataset(tmp_path / "m.h5").content_hash == made
     assert merge(parts[:2], tmp_path / "m.h5").dataset.content_hash == made
