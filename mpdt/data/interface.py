@@ -14,7 +14,7 @@ from mpdt.data.collect.job import make_job
 from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec
-from mpdt.data.spec.entry import smoke as smoke_version
+from mpdt.data.spec.smoke import smoke as smoke_version
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset, parse_ref
 

@@ -35,7 +35,7 @@ from mpdt.model.prompts import (
 from mpdt.model.tokens import InputSettings, word_rows
 from mpdt.seeding import Beside, torch_generator_at
 from mpdt.train.adapt import align
-from mpdt.train.adapt.few_shot import choose_labelled
+from mpdt.train.adapt.few_shot import choose_steps
 from mpdt.train.fit import data
 
 SEED = 5
@@ -124,9 +124,7 @@ def demonstrations(tiny_file: Path) -> list[Any]:
 
 def labelled(tiny_file: Path) -> list[Any]:
     dataset = data.load_material(str(tiny_file), "all").dataset
-    return [
-        ids.tolist() for ids in choose_labelled(dataset, (0, 1), "expert", 20, SEED).ids.values()
-    ]
+    return [ids.tolist() for ids in choose_steps(dataset, (0, 1), "expert", 20, SEED).ids.values()]
 
 
 def unlabelled(tiny_file: Path) -> list[Any]:

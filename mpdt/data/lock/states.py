@@ -12,7 +12,8 @@ from mpdt.data.lock.fingerprint import is_as_locked
 from mpdt.data.lock.keeper import spec_claim
 from mpdt.data.spec.catalog import Catalog
 from mpdt.data.spec.change import changed_keys
-from mpdt.data.spec.entry import DatasetSpec, smoke
+from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.spec.smoke import smoke
 from mpdt.data.store.reader import open_dataset
 from mpdt.errors import MpdtError
 

@@ -68,7 +68,7 @@ class Plans(Options):
         """The entry with --tasks and --smoke applied. Raises: SpecError, UsageError."""
         import msgspec
 
-        from mpdt.data.spec.entry import smoke
+        from mpdt.data.spec.smoke import smoke
         from mpdt.data.spec.tasks import get_family
 
         spec = catalog.get(self.name)

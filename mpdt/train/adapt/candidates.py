@@ -30,7 +30,7 @@ from mpdt.train.adapt.align import (
     adapt,
     returns_of_test_tasks,
 )
-from mpdt.train.adapt.few_shot import FewShotSettings, choose_labelled, tune
+from mpdt.train.adapt.few_shot import FewShotSettings, choose_steps, tune
 from mpdt.train.adapt.infer import Explanation, explain
 from mpdt.train.adapt.statistics import LayerStatistics, StatisticsSettings, source_statistics
 from mpdt.train.evaluate.controller import PerTaskController, PromptController
@@ -181,7 +181,7 @@ class Candidates:
     def _few_shot(self) -> Iterator[Candidate]:
         settings = self._config.few_shot
         for quality in settings.qualities:
-            labelled = choose_labelled(
+            labelled = choose_steps(
                 self._material.dataset, self._rows, quality, settings.steps, self._seed
             )
 

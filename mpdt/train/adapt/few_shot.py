@@ -90,7 +90,7 @@ class LabelledSteps:
         return int(self.episodes.length[self.ids[row]].sum())
 
 
-def choose_labelled(
+def choose_steps(
     dataset: Dataset, rows: Sequence[int], quality: Label, num_steps: int, seed: int
 ) -> LabelledSteps:
     """`num_steps` labelled steps of every task row; other seeds choose other episodes.

@@ -31,7 +31,7 @@ from mpdt.data.sim.record import (
     save_entries,
 )
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
-from mpdt.data.spec.entry import smoke as smoke_of
+from mpdt.data.spec.smoke import smoke as smoke_of
 from mpdt.data.store.reader import open_dataset, open_tta_rewards
 from mpdt.errors import DataError, StorageError, UsageError
 from mpdt.seeding import SeedKey

@@ -14,7 +14,8 @@ from mpdt.data.collect.plan import Block
 from mpdt.data.collect.runner import BlockRunner
 from mpdt.data.sim.simulators import make_batch
 from mpdt.data.spec.catalog import load_catalog
-from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts, smoke
+from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts
+from mpdt.data.spec.smoke import smoke
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset
 from mpdt.seeding import SeedKey

@@ -11,7 +11,7 @@ import pytest
 from mpdt.data.collect.job import make_job
 from mpdt.data.sim.calibration import LOCAL_FILE, load_calibrations, save_calibrations
 from mpdt.data.spec.catalog import load_catalog
-from mpdt.data.spec.entry import smoke
+from mpdt.data.spec.smoke import smoke
 
 
 @pytest.mark.parametrize("name", ["cheetah_dir", "ant_dir", "ml10"])

@@ -17,7 +17,7 @@ from mpdt.data.lock.file import LockEntry, decisive_packages, read_lock
 from mpdt.data.lock.fingerprint import lost_runs, other_versions
 from mpdt.data.lock.keeper import MACHINE, spec_claim
 from mpdt.data.spec.catalog import load_catalog
-from mpdt.data.spec.entry import smoke
+from mpdt.data.spec.smoke import smoke
 from mpdt.data.store.dataset import Dataset
 
 ROOT = Path(__file__).parents[3]

@@ -10,10 +10,10 @@ from mpdt.data.spec.entry import (
     EpisodeCounts,
     TtaRule,
     canonical_json,
-    smoke,
     spec_hash,
 )
 from mpdt.data.spec.goals import GoalSet
+from mpdt.data.spec.smoke import smoke
 from mpdt.errors import SpecError
 
 SPEC = DatasetSpec(
