@@ -1,4 +1,5 @@
-# make demo    set up, then collect cheetah_dir, split it, train, adapt and judge the policy
+# make demo    set up, then collect cheetah_dir, split it, train, adapt, judge the policy,
+#              act from its bundle
 # make test    set up, then run the tests
 # make check   lint, types, import arrows
 # make bench   measure every path beside its limit and its peers, under 15 minutes on an idle
@@ -43,6 +44,7 @@ demo: .venv/ready
 	cd demo && ../$(BIN)/mpdt-data collect cheetah_dir
 	cd demo && ../$(BIN)/mpdt-data split --quality medium
 	cd demo && ../$(BIN)/mpdt-train --data cheetah_dir.h5 --preset demo
+	$(BIN)/python tools/act.py demo/runs/cheetah_dir-demo/policy
 
 test: .venv/ready
 	$(BIN)/pytest -n auto --dist worksteal
@@ -74,6 +76,7 @@ trust: .venv/ready
 	@mkdir -p results/trust
 	$(BIN)/python benchmarks/trust/torture.py --json results/trust/torture.json
 	$(BIN)/python benchmarks/trust/fuzz.py --json results/trust/fuzz.json
+	$(BIN)/python benchmarks/trust/bundles.py --json results/trust/bundles.json
 	$(BIN)/python benchmarks/trust/clusters.py --json results/trust/clusters.json
 	$(BIN)/pytest -m slow tests/data/lock/test_locked_rebuild.py
 	$(BIN)/python benchmarks/trust/trust_page.py

@@ -109,14 +109,48 @@ def light_model(shape: ModelShape, tensors: Mapping[str, Tensor]) -> nn.Module:
 
 
 def _empty(shape: ModelShape) -> nn.Module:
-    with torch.device("meta"):
-        return _Gpt2(shape) if shape.model_type == "gpt2" else _Llama(shape)
+    return _Gpt2(shape) if shape.model_type == "gpt2" else _Llama(shape)
 
 
 def _not_carried(found: str, known: str) -> BackboneError:
     return BackboneError("the blocks of this language model cannot be carried",
                          where="language model", expected=known, found=found,
                          hint="leave the language model out: --without-backbone")  # fmt: skip
+
+
+def _later(*sizes: int) -> nn.Parameter:
+    """A shape without memory. torch's own layers fill theirs with numbers, or, where they have no
+    memory either, import half a mathematics library to say that they would."""
+    return nn.Parameter(torch.empty(sizes, device="meta"))
+
+
+class _Linear(nn.Module):
+    def __init__(self, wide: int, out: int, bias: bool) -> None:
+        super().__init__()
+        self.weight = _later(out, wide)
+        self.register_parameter("bias", _later(out) if bias else None)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.linear(x, self.weight, self.bias)
+
+
+class _LayerNorm(nn.Module):
+    def __init__(self, shape: ModelShape) -> None:
+        super().__init__()
+        self.weight, self.bias = _later(shape.hidden_size), _later(shape.hidden_size)
+        self._epsilon = shape.epsilon
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.layer_norm(x, self.weight.shape, self.weight, self.bias, self._epsilon)
+
+
+class _Positions(nn.Module):
+    def __init__(self, shape: ModelShape) -> None:
+        super().__init__()
+        self.weight = _later(shape.max_position_embeddings, shape.hidden_size)
+
+    def forward(self, positions: Tensor) -> Tensor:
+        return F.embedding(positions, self.weight)
 
 
 class _Llama(nn.Module):
@@ -148,19 +182,19 @@ class _LlamaAttention(nn.Module):
         self.head_dim, self.scaling = shape.head_dim, scaling
         asking = shape.num_attention_heads * shape.head_dim
         asked, bias = shape.num_key_value_heads * shape.head_dim, shape.attention_bias
-        self.q_proj = nn.Linear(shape.hidden_size, asking, bias=bias)
-        self.k_proj = nn.Linear(shape.hidden_size, asked, bias=bias)
-        self.v_proj = nn.Linear(shape.hidden_size, asked, bias=bias)
-        self.o_proj = nn.Linear(asking, shape.hidden_size, bias=bias)
+        self.q_proj = _Linear(shape.hidden_size, asking, bias)
+        self.k_proj = _Linear(shape.hidden_size, asked, bias)
+        self.v_proj = _Linear(shape.hidden_size, asked, bias)
+        self.o_proj = _Linear(asking, shape.hidden_size, bias)
 
 
 class _GatedMlp(nn.Module):
     def __init__(self, shape: ModelShape) -> None:
         super().__init__()
         width, inner, bias = shape.hidden_size, shape.intermediate_size, shape.mlp_bias
-        self.gate_proj = nn.Linear(width, inner, bias=bias)
-        self.up_proj = nn.Linear(width, inner, bias=bias)
-        self.down_proj = nn.Linear(inner, width, bias=bias)
+        self.gate_proj = _Linear(width, inner, bias)
+        self.up_proj = _Linear(width, inner, bias)
+        self.down_proj = _Linear(inner, width, bias)
         self._activation = _ACTIVATIONS[shape.activation]
 
     def forward(self, x: Tensor) -> Tensor:
@@ -171,7 +205,7 @@ class _GatedMlp(nn.Module):
 class _RootMeanSquare(nn.Module):
     def __init__(self, shape: ModelShape) -> None:
         super().__init__()
-        self.weight = nn.Parameter(torch.empty(shape.hidden_size))
+        self.weight = _later(shape.hidden_size)
         self._epsilon = shape.epsilon
 
     def forward(self, x: Tensor) -> Tensor:
@@ -187,7 +221,7 @@ class _Angles(nn.Module):
 
     def __init__(self, shape: ModelShape) -> None:
         super().__init__()
-        self.register_buffer("inv_freq", torch.empty(shape.head_dim // 2))
+        self.register_buffer("inv_freq", torch.empty(shape.head_dim // 2, device="meta"))
         self._scaling = shape.angle_scaling
 
     def forward(self, like: Tensor, positions: Tensor) -> tuple[Tensor, Tensor]:
@@ -201,9 +235,9 @@ class _Gpt2(nn.Module):
     def __init__(self, shape: ModelShape) -> None:
         super().__init__()
         self.config = shape
-        self.wpe = nn.Embedding(shape.max_position_embeddings, shape.hidden_size)
+        self.wpe = _Positions(shape)
         self.h = nn.ModuleList(_Gpt2Block(shape, scaling) for scaling in shape.scaling)
-        self.ln_f = nn.LayerNorm(shape.hidden_size, eps=shape.epsilon)
+        self.ln_f = _LayerNorm(shape)
 
     def get_input_embeddings(self) -> None:
         """No words are looked up."""
@@ -212,9 +246,9 @@ class _Gpt2(nn.Module):
 class _Gpt2Block(nn.Module):
     def __init__(self, shape: ModelShape, scaling: float) -> None:
         super().__init__()
-        self.ln_1 = nn.LayerNorm(shape.hidden_size, eps=shape.epsilon)
+        self.ln_1 = _LayerNorm(shape)
         self.attn = _Gpt2Attention(shape, scaling)
-        self.ln_2 = nn.LayerNorm(shape.hidden_size, eps=shape.epsilon)
+        self.ln_2 = _LayerNorm(shape)
         self.mlp = _Mlp(shape)
 
 
@@ -245,8 +279,8 @@ class _Transposed(nn.Module):
 
     def __init__(self, wide: int, out: int) -> None:
         super().__init__()
-        self.weight = nn.Parameter(torch.empty(wide, out))
-        self.bias = nn.Parameter(torch.empty(out))
+        self.weight = _later(wide, out)
+        self.bias = _later(out)
 
     def forward(self, x: Tensor) -> Tensor:
         flat = torch.addmm(self.bias, x.reshape(-1, x.shape[-1]), self.weight)

@@ -1,7 +1,7 @@
 """From facts and tensors that were read to a policy that acts; what does not fit is an error.
 
-Shapes are compared before memory is asked for: the policy is built without any, on torch's meta
-device, and then given the tensors that were read.
+Sizes are compared with the tensors that were read before memory is asked for; the blocks are
+built without any.
 """
 
 from __future__ import annotations
@@ -110,10 +110,10 @@ def _policy(
     mean, std = (
         np.array(column, np.float32) for column in (config.statistics.mean, config.statistics.std)
     )
-    with torch.device("meta"):  # shapes without memory
-        policy = PromptPolicy(
-            backbone, config.inputs, config.head, mean, std, config.family.action_size
-        )
+    _check_sizes(config, state)
+    policy = PromptPolicy(
+        backbone, config.inputs, config.head, mean, std, config.family.action_size
+    )
     own = {
         name: tuple(value.shape)
         for name, value in policy.own_state().items()
@@ -123,6 +123,19 @@ def _policy(
     _check_float32(state)
     policy.load_state_dict(dict(state), strict=False, assign=True)
     return policy
+
+
+def _check_sizes(config: BundleConfig, state: Mapping[str, Tensor]) -> None:
+    """Of what would be made before its tensors are looked at. Raises: FormatError."""
+    time, hidden = state.get("inputs.time"), config.head.hidden or 0
+    rows = 0 if time is None or time.dim() != 2 else len(time)
+    if rows != config.inputs.time_table:
+        raise FormatError("rows of the time table", expected=str(config.inputs.time_table),
+                          found=str(rows))  # fmt: skip
+    sizes = {size for name, value in state.items() if name.startswith("head.")
+             for size in value.shape}  # fmt: skip
+    if hidden and hidden not in sizes:
+        raise FormatError("width of the head", expected=str(hidden), found=str(sorted(sizes)))
 
 
 def _check_prompts(

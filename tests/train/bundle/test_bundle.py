@@ -92,7 +92,7 @@ policy.act([0.0] * 20)
 policy.act([0.0] * 20, 1.0)
 assert torch.get_num_threads() == before
 print(sorted(set(sys.modules) & {"transformers", "h5py", "mujoco", "gymnasium", "scipy", "fsspec",
-                                 "huggingface_hub", "metaworld", "mpdt.train.fit.loop"}))
+                                 "huggingface_hub", "metaworld", "sympy", "mpdt.train.fit.loop"}))
 """
 
 
