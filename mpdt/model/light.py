@@ -125,6 +125,8 @@ def _later(*sizes: int) -> nn.Parameter:
 
 
 class _Linear(nn.Module):
+    bias: nn.Parameter | None
+
     def __init__(self, wide: int, out: int, bias: bool) -> None:
         super().__init__()
         self.weight = _later(out, wide)
