@@ -54,11 +54,11 @@ datasets:
     tta: {default: {episodes: 2}}
     license: CC0-1.0
 """
-TRAINING = [
-    *("--preset", "smoke", "--threads", "1", "--statistics.batches", "1", "-q"),
-    *("--evaluation.horizon", "3", "--evaluation.no-constants", "--multitask.log-every", "1"),
-    *("--teacher.steps", "2", "--multitask.steps", "2", "--adapt.starts", "cross"),
-]
+TRAINING = (
+    "--preset smoke --threads 1 --statistics.batches 1 --evaluation.horizon 3 -q "
+    "--evaluation.no-constants --multitask.log-every 1 --teacher.steps 2 --multitask.steps 2 "
+    "--adapt.starts cross"
+)
 # What a command may answer because of what another one left, beside BusyError.
 REFUSALS = re.compile(
     "would replace|something else is there|the target exists|a folder is in the way|"
@@ -158,7 +158,9 @@ COMMANDS = {
                                  replaces=True),
     "reference": Command("reference tiny --policies zero --most 20 --workers 0 -o T "
                          "--spec S/datasets.yaml", entries),
-    "training": Command("TRAIN --data S/cd.h5 --runs-dir T/.. --name t.h5", run_of, share=0.1),
+    "training": Command("TRAIN --data S/cd.h5 --runs-dir T/.. --name t.h5 QUICK", run_of,
+                        share=0.1),
+    "page of a run": Command("TRAIN report S/run --html T", text_of, replaces=True),
 }  # fmt: skip
 
 
@@ -229,7 +231,7 @@ class Stage:
         words = [
             word.replace("T", str(self.target), 1) if word in ("T", "T/..") else
             name if word == "N" else word.replace("S/", f"{self.sources}/")
-            for word in COMMANDS[kind].words.split()
+            for word in COMMANDS[kind].words.replace("QUICK", TRAINING).split()
         ]  # fmt: skip
         pid = os.fork()
         if pid == 0:
@@ -274,7 +276,7 @@ def _answer(words: list[str]) -> int:
     from mpdt.train.cli import main as train
 
     try:
-        train([*words[1:], *TRAINING])
+        train(words[1:])
     except SystemExit as stop:
         return int(stop.code or 0)
     return 0
@@ -293,6 +295,7 @@ def prepare(folder: Path, random: np.random.Generator) -> Stage:
         f"split {here}cd.h5 --quality expert -o {here}e.h5",
         f"export {here}cd.h5 --to npz -o {here}npz",
         f"push {here}npz {here}sent",
+        f"TRAIN --data {here}cd.h5 --runs-dir {stage.sources} --name run {TRAINING}",
     ):
         pid = os.fork()
         if pid == 0:
