@@ -205,3 +205,25 @@ def test_metaworld_keys_are_those_of_mt50() -> None:
     _, scores = Player(ml10, 1)(Portion(task, "zero", (2, 3), 0, 2))
     assert {score.success for score in scores.values()} == {0.0}
     assert place_of(ml10, task, 3)[0] == "sawyer/metaworld/reach"
+
+
+def test_what_another_process_measures_meanwhile_is_kept(tmp_path: Path) -> None:
+    """Two campaigns that add to one file at once: other policies, and other tasks."""
+    target = tmp_path / "r.json"
+    one = Campaign(spec(), (4,), {}, ("zero",))
+    (task,) = spec().resolve_tasks()
+    place = place_of(spec(), task, 4)
+    empty = module.Entry(scene=place[0], horizon=4, env={}, scores={}, seed=1,
+                         versions=module.versions())  # fmt: skip
+    one.entries[place] = msgspec.structs.replace(empty, scores={"zero": Score(20, 0.0, 0.0)})
+    known = module._save(target, {}, one, 1)
+    elsewhere = msgspec.structs.replace(empty, scene="other")
+    theirs = msgspec.structs.replace(
+        empty, scores={"zero": Score(20, 0.0, 0.0), "random": Score(20, -1.0, 4.0)}
+    )
+    module.save_entries(target, [theirs, elsewhere], "")
+    one.entries[place] = msgspec.structs.replace(empty, scores={"zero": Score(40, 1.0, 0.0)})
+    module._save(target, known, one, 1)
+    found = load_entries(target)
+    assert len(found) == 2
+    assert found[place].scores == {"zero": Score(40, 1.0, 0.0), "random": Score(20, -1.0, 4.0)}
