@@ -1,4 +1,4 @@
-"""Write docs/trust.md from what torture.py, fuzz.py, clusters.py and tools/mutants.py found.
+"""Write docs/trust.md from what the scripts beside it and tools/mutants.py found.
 
 python benchmarks/trust/trust_page.py [--results results/trust]
 """
@@ -52,6 +52,27 @@ def torture(found: dict[str, Any]) -> str:
         "After each the target was absent or whole; "
         f"{compared} finished files had the content hash of the undisturbed run; no worker "
         "outlived its collector.\n\n" + markdown_table(["killed in / by", "times"], cells)
+    )
+
+
+def writers(found: dict[str, Any]) -> str:
+    rows = [
+        ["files destroyed", found["destroyed"]],
+        ["successes that are not in the target", found["unkept"]],
+        ["both failed", found["both failed"]],
+        ["wrong or unclear messages", found["wrong"]],
+        ["temporary files or locks left behind", found["left behind"]],
+    ]
+    codes = ", ".join(f"{n} with {code.removeprefix('exit ')}" for code, n in found.items()
+                      if code.startswith("exit "))  # fmt: skip
+    return (
+        f"\n## {found['pairs']:,} pairs of writers\n\n"
+        f"`python benchmarks/trust/writers.py`: {found['pairs']:,} pairs of commands that write "
+        f"one target at once, {len(found['met'])} different pairs, in "
+        f"{found['seconds'] / 60:.0f} min. In {found['killed']} one was stopped by SIGKILL or "
+        f"SIGTERM, and {found['given again']} times given again afterwards. "
+        f"{found['HDF5_USE_FILE_LOCKING=FALSE']} pairs ran without HDF5's own locks. Exit codes: "
+        f"{codes}.\n\n" + markdown_table(["found", "times"], rows)
     )
 
 
@@ -122,7 +143,13 @@ def _change(one: dict[str, Any]) -> str:
 
 def page(folder: Path) -> str:
     """The whole page as Markdown."""
-    sections = {"torture": torture, "fuzz": fuzz, "clusters": clusters, "mutants": mutants}
+    sections = {
+        "torture": torture,
+        "writers": writers,
+        "fuzz": fuzz,
+        "clusters": clusters,
+        "mutants": mutants,
+    }
     text = HEAD
     for name, section in sections.items():
         path = folder / f"{name}.json"

@@ -1,6 +1,6 @@
 """Run pairs of writing commands on one target, kill some; nothing may be lost or told wrongly.
 
-    python benchmarks/trust/writers.py [--pairs 1000] [--seed 0] [--json FILE]
+    python benchmarks/trust/writers.py [--pairs 1000] [--seed 0] [--no-training] [--json FILE]
 
 Every command that writes a file or folder meets itself and every other one, on a target that is
 absent, an earlier result or a dataset. Both start at once, in forks of a process that has all
@@ -218,7 +218,7 @@ class Stage:
         """Names beside the target that are nobody's result.
 
         Args:
-            goes_on: a killed command did not get through later; what it has so far may stay.
+            goes_on: a command did not get through, so what it has so far may stay.
         """
         known = {"t.h5", "t.h5.tmp", "mine", ".t.h5.tmp", "t.h5.sha256"}
         names = {path.name for path in self.place.iterdir()} - known
@@ -249,6 +249,21 @@ class Stage:
                 sys.stderr.flush()
                 os._exit(code)
         return Job(kind, name, pid, said)
+
+    def measure(self, kind: str) -> None:
+        """Run a command by itself, once: what it leaves, and how long it takes."""
+        if kind in self.calm:
+            return
+        self.clear()
+        if COMMANDS[kind].start == "dataset":
+            shutil.copy(self.sources / "cd.h5", self.target)
+        began = time.monotonic()
+        job = self.start(kind)
+        job.wait()
+        self.seconds[kind] = time.monotonic() - began
+        if job.code:
+            raise SystemExit(f"FAIL: {kind} by itself\n{job.text}")
+        self.calm[kind] = COMMANDS[kind].result(self.target, job.name)
 
     def holds(self, job: Job) -> bool:
         """Whether the target is, or contains, what this command leaves."""
@@ -282,21 +297,22 @@ def _answer(words: list[str]) -> int:
     return 0
 
 
-def prepare(folder: Path, random: np.random.Generator) -> Stage:
-    """Sources, and every command once by itself."""
+def prepare(folder: Path, random: np.random.Generator, training: bool) -> Stage:
+    """A stage with its sources."""
     stage = Stage(folder / "sources", folder / "place", random)
     stage.sources.mkdir()
     (stage.sources / "datasets.yaml").write_text(ENTRY)
     stage.place.mkdir()
     here = f"{stage.sources}/"
-    for text in (
+    texts = [
         f"collect tiny --workers 0 -o {here}cd.h5 --spec {here}datasets.yaml",
         f"split {here}cd.h5 --quality medium -o {here}m.h5",
         f"split {here}cd.h5 --quality expert -o {here}e.h5",
         f"export {here}cd.h5 --to npz -o {here}npz",
         f"push {here}npz {here}sent",
         f"TRAIN --data {here}cd.h5 --runs-dir {stage.sources} --name run {TRAINING}",
-    ):
+    ]
+    for text in texts[: None if training else -1]:
         pid = os.fork()
         if pid == 0:
             _become(text.split(), folder / "said", stage.place)
@@ -304,24 +320,15 @@ def prepare(folder: Path, random: np.random.Generator) -> Stage:
         if os.waitpid(pid, 0)[1]:
             raise SystemExit(f"FAIL: {text}\n{(folder / 'said').read_text()}")
     (stage.sources / "datasets.lock").unlink(missing_ok=True)
-    for kind, command in COMMANDS.items():
-        stage.clear()
-        if command.start == "dataset":
-            shutil.copy(stage.sources / "cd.h5", stage.target)
-        began = time.monotonic()
-        job = stage.start(kind)
-        job.wait()
-        stage.seconds[kind] = time.monotonic() - began
-        if job.code:
-            raise SystemExit(f"FAIL: {kind} by itself\n{job.text}")
-        stage.calm[kind] = command.result(stage.target, job.name)
     return stage
 
 
 def run_pair(stage: Stage, one: str, two: str) -> tuple[list[str], list[str]]:
     """What was counted, and what to say about faults."""
-    stage.clear()
     random, kinds = stage.random, (one, two)
+    for kind in kinds:
+        stage.measure(kind)
+    stage.clear()
     before = {path: path.stat().st_mtime_ns for path in sorted(stage.sources.rglob("*"))}
     start = _set_up(stage, kinds)
     first = stage.target.read_bytes() if start != "absent" and stage.target.is_file() else b""
@@ -388,7 +395,8 @@ def _faults(stage: Stage, jobs: list[Job], first: bytes) -> Iterator[tuple[str, 
     for job in jobs:
         if why := _wrong(stage, job, pids):
             yield "wrong", why
-    if left := stage.left_behind(goes_on=jobs[-1].code != 0):
+    last = {job.name: job.code for job in jobs}
+    if left := stage.left_behind(goes_on=any(last.values())):
         yield "left behind", str(left)
 
 
@@ -411,20 +419,22 @@ def _wrong(stage: Stage, job: Job, pids: set[int]) -> str:
     return "" if os.path.lexists(stage.target) else f"{job.kind} refused for what is not there"
 
 
-def worker(pairs: int, seed: int) -> dict[str, Any]:
+def worker(pairs: int, seed: int, training: bool) -> dict[str, Any]:
     """Run pairs in this process, which loads everything once."""
     import mpdt.data
 
     for module in pkgutil.walk_packages(mpdt.data.__path__, "mpdt.data."):
         if not re.search(r"pretrain|snapshots|checkpoint|vecenv|workers\.ray", module.name):
             importlib.import_module(module.name)
-    importlib.import_module("mpdt.train.run.pipeline")
+    if training:
+        importlib.import_module("mpdt.train.run.pipeline")
     random = np.random.Generator(np.random.PCG64(seed))
     counts: Counter[str] = Counter()
     texts: list[str] = []
     with tempfile.TemporaryDirectory(prefix="writers-") as folder:
-        stage = prepare(Path(folder), random)
-        for one, two in _choose(random, pairs):
+        stage = prepare(Path(folder), random, training)
+        kinds = [kind for kind, one in COMMANDS.items() if training or "TRAIN" not in one.words]
+        for one, two in _choose(random, kinds, pairs):
             found, said = run_pair(stage, one, two)
             counts.update(["pairs", *found, f"{one} with {two}"])
             texts += said
@@ -433,9 +443,9 @@ def worker(pairs: int, seed: int) -> dict[str, Any]:
     return {"counts": dict(counts), "faults": texts}
 
 
-def _choose(random: np.random.Generator, pairs: int) -> Iterator[tuple[str, str]]:
+def _choose(random: np.random.Generator, kinds: list[str], pairs: int) -> Iterator[tuple[str, str]]:
     """All pairs in random order, again and again."""
-    every = list(combinations_with_replacement(COMMANDS, 2))
+    every = list(combinations_with_replacement(kinds, 2))
     done = 0
     while done < pairs:
         for row in random.permutation(len(every)):
@@ -452,10 +462,12 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--no-training", action="store_true", help="leave mpdt-train out")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.worker:
-        print(json.dumps(worker(arguments.pairs, arguments.seed)))
+        found = worker(arguments.pairs, arguments.seed, not arguments.no_training)
+        print(json.dumps(found))
         return
     began = time.monotonic()
     result: dict[str, Any] = {"seed": arguments.seed}
@@ -466,6 +478,7 @@ def main() -> None:
         half = (arguments.pairs + 1 - number) // 2
         command = [sys.executable, __file__, "--worker", "--pairs", str(half),
                    "--seed", str(2 * arguments.seed + number)]  # fmt: skip
+        command += ["--no-training"] * arguments.no_training
         environment = os.environ | {
             "HDF5_USE_FILE_LOCKING": locking, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"
         }  # fmt: skip
@@ -477,7 +490,7 @@ def main() -> None:
         total[f"HDF5_USE_FILE_LOCKING={locking}"] += half
         faults += found["faults"]
     result |= {"seconds": round(time.monotonic() - began), "pairs": total.pop("pairs", 0)}
-    result |= {fault: total.pop(fault, 0) for fault in FAULTS}
+    result |= {key: total.pop(key, 0) for key in (*FAULTS, "killed", "given again")}
     result["met"] = {key: total.pop(key) for key in sorted(total) if " with " in key}
     result |= dict(sorted(total.items()))
     print("FAIL" if faults else "PASS", json.dumps({k: v for k, v in result.items() if k != "met"}))

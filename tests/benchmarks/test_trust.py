@@ -29,6 +29,14 @@ def test_three_kills(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+def test_a_handful_of_writers_that_meet(tmp_path: Path) -> None:
+    found = run("writers.py", tmp_path / "x.json", "--pairs", "6", "--seed", "1", "--no-training")
+    assert found["pairs"] == 6
+    assert found["destroyed"] == found["unkept"] == found["both failed"] == found["wrong"] == 0
+    assert found["exit 0"] >= 6
+
+
+@pytest.mark.long
 def test_a_little_damage(tmp_path: Path) -> None:
     found = run("fuzz.py", tmp_path / "x.json", "--flips", "10", "--mutations", "35")
     counts = [sum(row.values()) for name, row in found.items() if name != "seed"]
