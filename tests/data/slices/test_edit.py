@@ -72,6 +72,7 @@ def test_tasks_collected_apart_and_a_longer_collection(
     assert done.dataset.content_hash == longer.content_hash
     assert done.num_repeated == 32
     assert done.dataset.spec["episodes"]["expert"] == 7
+    assert merge([longer, data], tmp_path / "ld.h5").dataset.spec["episodes"]["expert"] == 7
 
 
 def test_contradictions_are_refused(
