@@ -1,7 +1,8 @@
 """Reading: what a user names is a plain file, and no larger than its kind needs.
 
 A pipe, a socket or a device would hang whoever opens it, or never end. So the kind is looked at
-before the file is opened, and again at what was opened.
+before the file is opened, and again at what was opened. What the first bytes say a file is counts,
+not its name.
 """
 
 from __future__ import annotations
@@ -20,6 +21,24 @@ _KINDS = {
     stat.S_IFDIR: "a folder", stat.S_IFIFO: "a named pipe", stat.S_IFSOCK: "a socket",
     stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
 }  # fmt: skip
+
+HEAD_BYTES = 512
+_UNPACK, _FETCH = "unpack it first", "fetch the file itself first"
+_HEADS: tuple[tuple[bytes, str, str], ...] = (
+    (b"version https://git-lfs", "a git-lfs pointer", f"{_FETCH}: git lfs pull"),
+    (b"/annex/objects/", "a git-annex pointer", f"{_FETCH}: git annex get"),
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file", ""), (b"PAR1", "a Parquet file", ""),
+    (b"\x93NUMPY", "an array of numpy (.npy)", ""), (b"%PDF", "a PDF file", ""),
+    (b"\x89PNG", "a picture (PNG)", ""), (b"ARROW1", "an Arrow file", ""),
+    (b"SQLite format 3", "an SQLite file", ""), (b"\x7fELF", "a program", ""),
+    (b"PK\x03\x04", "a zip archive", _UNPACK), (b"PK\x05\x06", "an empty zip archive", ""),
+    (b"\x1f\x8b", "a gzip file", f"{_UNPACK}: gunzip"), (b"BZh", "a bzip2 file", _UNPACK),
+    (b"\xfd7zXZ\x00", "an xz file", _UNPACK), (b"\x28\xb5\x2f\xfd", "a zstd file", _UNPACK),
+    (b"7z\xbc\xaf\x27\x1c", "a 7z archive", _UNPACK), (b"Rar!", "a rar archive", _UNPACK),
+    *((b"\x80" + bytes([protocol]), "a pickle", "") for protocol in range(2, 6)),
+)  # fmt: skip
+_PAGES = ((b"<!doctype html", "an HTML page"), (b"<html", "an HTML page"), (b"<?xml", "XML"))
+_PAGE_HINT = "a server's answer in place of the file: download it again"
 
 
 def refuse_special(path: Path) -> os.stat_result:
@@ -73,6 +92,40 @@ def read_plain(path: Path, limit: int = TEXT_BYTES) -> bytes:
                           expected=f"at most {limit:,} bytes",
                           found=f"{max(size, len(content)):,}")  # fmt: skip
     return content
+
+
+def told_by(head: bytes) -> tuple[str, str]:
+    """What the first bytes of a file say it is, and what to do then; "" where they say nothing."""
+    if not head:
+        return "an empty file", "copy it again"
+    for start, what, hint in _HEADS:
+        if head.startswith(start):
+            return what, hint
+    if head[257:262] == b"ustar":
+        return "a tar archive", _UNPACK
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    for start, what in _PAGES:
+        if text.startswith(start):
+            return what, _PAGE_HINT
+    is_text = not set(head) - {*b"\t\n\r", *range(32, 127)}
+    return ("text" if is_text else ""), ""
+
+
+def refuse_other(path: Path, wanted: str, *known: str) -> None:
+    """Look at the first bytes of a file before its format is tried.
+
+    Args:
+        wanted: what it ought to be, for the error.
+        known: as `told_by` calls it; what the bytes do not tell passes too.
+    Raises: FormatError saying what it is; as `open_plain`.
+    """
+    with open_plain(path) as stream:
+        try:
+            what, hint = told_by(stream.read(HEAD_BYTES))
+        except OSError as error:
+            raise StorageError("cannot be read", where=str(path), found=str(error)) from error
+    if what and what not in known:
+        raise FormatError(f"not {wanted}", where=str(path), found=what, hint=hint)
 
 
 def _refuse(path: Path, found: os.stat_result) -> None:

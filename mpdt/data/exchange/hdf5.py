@@ -19,7 +19,7 @@ from h5py import h5d, h5g, h5l, h5o, h5z
 from numpy.typing import NDArray
 
 from mpdt.errors import FormatError, MpdtError
-from mpdt.reading import open_plain
+from mpdt.reading import refuse_other
 
 _MOST_COMPRESSED = 100
 """Numbers per stored one at most. Empty chunks take no place, so a shape may say anything."""
@@ -42,7 +42,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
         links of any kind.
     """
     where = str(path)
-    open_plain(path).close()
+    refuse_other(path, "an HDF5 file", "an HDF5 file")
     try:
         with h5py.File(path, "r") as file:
             root = h5g.open(file.id, b"/")

@@ -38,7 +38,7 @@ from mpdt.data.exchange.treatment import RawEpisode, Rules, check_length
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.sources import EpisodeSource
 from mpdt.errors import DataError, FormatError, UsageError
-from mpdt.reading import read_plain
+from mpdt.reading import read_plain, refuse_other
 from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
 VERSION = "0.5.0"  # readers accept an exact list; all since 0.5.0 have this one in it
@@ -197,6 +197,7 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
 
 def _read_metadata(folder: Path) -> dict[str, Any]:
     path = folder / "metadata.json"
+    refuse_other(path, "the metadata of a Minari dataset", "text")
     content = read_plain(path)
     try:
         metadata = json.loads(content)

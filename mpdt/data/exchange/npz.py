@@ -34,7 +34,7 @@ from mpdt.data.exchange.treatment import Rules
 from mpdt.data.store.layout import EPISODES, GOALS, STEPS
 from mpdt.data.store.sources import EpisodeSource
 from mpdt.errors import FormatError, MpdtError
-from mpdt.reading import TEXT_BYTES, open_plain
+from mpdt.reading import TEXT_BYTES, open_plain, refuse_other
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -88,6 +88,7 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     Raises: MissingFileError; FormatError for a file that is damaged or not an export of ours.
     """
     path = single_file(files_below(paths, ".npz"), "an .npz file", str(paths[0]))
+    refuse_other(path, "an .npz file", "a zip archive")
     try:
         with open_plain(path) as file, zipfile.ZipFile(file) as archive:
             text = _manifest(archive)

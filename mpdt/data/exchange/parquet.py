@@ -35,7 +35,7 @@ from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.data.store.layout import EPISODES, GOALS, STEPS
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.errors import FormatError, MpdtError, ShapeError
-from mpdt.reading import refuse_special
+from mpdt.reading import refuse_other
 
 MAX_FILE_BYTES = 500_000_000
 _COMPRESSION = "zstd"
@@ -182,7 +182,7 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
 
 
 def _schema(path: Path) -> Any:
-    refuse_special(path)
+    refuse_other(path, "a Parquet file", "a Parquet file")
     return pq.read_schema(path)
 
 
@@ -191,7 +191,7 @@ def _table(path: Path, names: Sequence[str], rows: int | None = None) -> Any:
 
     Raises: FormatError where it announces other rows, or more than a file of its size can hold.
     """
-    refuse_special(path)
+    refuse_other(path, "a Parquet file", "a Parquet file")
     with pq.ParquetFile(path) as file:
         _check_rows(path, file.schema_arrow, names, file.metadata.num_rows, rows)
         found = [name for name in names if name in file.schema_arrow.names]
@@ -253,7 +253,7 @@ def _episodes(
 
 def _row_groups(folder: Path) -> Iterator[tuple[Path, Any, int]]:
     for path in sorted(folder.glob("*.parquet")):
-        refuse_special(path)
+        refuse_other(path, "a Parquet file", "a Parquet file")
         with pq.ParquetFile(path) as file:
             for number in range(file.num_row_groups):
                 yield path, file, number

@@ -27,7 +27,7 @@ import numpy as np
 
 from mpdt.data.exchange.pickle_machine import Machine, RefusedError, kind_of
 from mpdt.errors import FormatError
-from mpdt.reading import read_plain
+from mpdt.reading import read_plain, refuse_other
 
 MAX_BYTES = 1 << 30
 MAX_OPERATIONS = 5_000_000
@@ -48,6 +48,7 @@ def load_pickle(path: Path) -> Any:
     Raises: MissingFileError; StorageError; FormatError for a global or operation that is not
         allowed (it is named), for damage, and for more than `MAX_BYTES`.
     """
+    refuse_other(path, "a pickle", "a pickle", "text")  # protocol 0 is text
     return load_bytes(_read(path), str(path))
 
 
@@ -56,6 +57,7 @@ def load_object_array(path: Path) -> list[Any]:
 
     Raises: as `load_pickle`; FormatError for another kind of array.
     """
+    refuse_other(path, "an .npy file of dicts", "an array of numpy (.npy)")
     data, where = _read(path), str(path)
     header = _NPY_OF_OBJECTS.match(data)
     if header is None:

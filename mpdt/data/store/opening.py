@@ -17,7 +17,7 @@ from mpdt.data.store.origin import damaged_hint, missing_hint
 from mpdt.data.store.tree import Tree
 from mpdt.disk import Seen
 from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError
-from mpdt.reading import open_plain
+from mpdt.reading import HEAD_BYTES, open_plain, told_by
 
 
 class Source:
@@ -126,7 +126,10 @@ def _hdf5(path: Path, stream: BinaryIO) -> h5py.File:
     there = Seen.at(path.resolve())
     is_there = there == Seen.of(os.fstat(stream.fileno()))
     if is_there and not h5py.is_hdf5(path):
-        raise FormatError("not an HDF5 file", where=str(path), hint=damaged_hint(path))
+        stream.seek(0)
+        what, hint = told_by(stream.read(HEAD_BYTES))
+        raise FormatError("not an HDF5 file", where=str(path), found=what,
+                          hint=hint or damaged_hint(path))  # fmt: skip
     try:
         if is_there:
             file = h5py.File(path, "r")
