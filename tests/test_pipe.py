@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shlex
 import subprocess
 import sys
 
@@ -41,6 +42,51 @@ def closed_early(code: str, *words: str) -> subprocess.CompletedProcess[str]:
 def test_a_reader_that_leaves_ends_the_command_quietly(code: str, words: list[str]) -> None:
     done = closed_early(code, *words)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        (RUN.format("mpdt.data.cli"), ["--help"]), (RUN.format("mpdt.data.cli"), ["list"]),
+        (RUN.format("mpdt.data.cli"), ["list", "--json"]),
+        (RUN.format("mpdt.train.cli"), ["--help"]), (RUN.format("mpdt.train.cli"), ["methods"]),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize(
+    ("where", "found"),
+    [(">/dev/full", "No space left on device"), (">&-", "Bad file descriptor"),
+     (">/dev/full 2>&-", ""), (">&- 2>/dev/full <&-", "")],
+)  # fmt: skip
+def test_a_stdout_that_cannot_be_written_is_one_error(
+    code: str, words: list[str], where: str, found: str
+) -> None:
+    done = in_shell(code, words, where)
+    said = f"error: stdout: cannot be written; found {found}\n" if found else ""
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", said)
+
+
+@pytest.mark.parametrize("where", ["2>&-", "2>/dev/full", "<&-"])
+def test_results_come_without_talk_and_codes_stay(where: str) -> None:
+    done = in_shell(RUN.format("mpdt.data.cli"), ["completion", "bash"], where)
+    assert (done.returncode, done.stderr) == (0, "") and len(done.stdout) > 1000
+    done = in_shell(RUN.format("mpdt.data.cli"), ["show", "not-there.h5"], where)
+    assert (done.returncode, done.stdout) == (2, "")
+
+
+def test_what_a_closed_stdout_leaves_free_is_no_file_of_ours() -> None:
+    """Number 1 would be the next file that is opened, and what is printed would go into it."""
+    code = (
+        "import os, sys\nfrom mpdt.pipe import reader_may_leave\nwith reader_may_leave():\n"
+        "    handle = os.open('/dev/null', os.O_RDONLY)\n    sys.stderr.write(str(handle > 2))"
+    )
+    assert in_shell(code, [], ">&- <&-").stderr == "True"
+
+
+def in_shell(code: str, words: list[str], where: str) -> subprocess.CompletedProcess[str]:
+    line = shlex.join([sys.executable, "-c", code, *words])
+    return subprocess.run(
+        f"{line} {where}", shell=True, capture_output=True, text=True, check=False
+    )
 
 
 def test_another_pipe_that_breaks_is_an_error() -> None:

@@ -5,6 +5,7 @@
     mpdt-train --data ml10.h5 --method Prompt-DT         a baseline or a variant
     mpdt-train --data ml10.h5 --adapt infer              our own zero-shot protocol
     mpdt-train --data ml10.h5 --inputs.return-to-go none --name no-rtg
+    mpdt-train methods                                   every method, and what it reads
     mpdt-train settings --preset paper                   every setting and its value
     mpdt-train report runs/ml10-base                     the tables of a finished run
     mpdt-train adapt runs/ml10-base --data ml10.h5 --adapt.starts infer     no training
@@ -24,7 +25,6 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -39,6 +39,7 @@ from mpdt.train.options import (
     Bundle,
     Command,
     Evaluate,
+    Methods,
     Pull,
     Push,
     Report,
@@ -119,18 +120,24 @@ def execute(command: Command, rest: list[str]) -> int:
         return _roll_out(command)
     if isinstance(command, Push | Pull):
         return _travel(command)
+    if isinstance(command, Methods):
+        from mpdt.train.run.catalogue import catalogue, catalogue_text
+
+        sys.stdout.write(catalogue_text(catalogue(command.preset), command.json))
+        return 0
     return _study(command) if isinstance(command, Study) else _report(command)
 
 
 def _run(command: Run, rest: list[str]) -> int:
-    from mpdt.train.run.folder import locate
+    from mpdt.data.store.reader import parse_ref
+    from mpdt.train.run.folder import fitting_name, locate
     from mpdt.train.run.pipeline import run_pipeline
     from mpdt.train.run.prepare import prepare
     from mpdt.train.run.progress import Progress
     from mpdt.train.run.show import print_results
 
     config = parse_settings(command, rest)
-    file = Path(command.data.partition(":")[0]).stem
+    file = fitting_name(parse_ref(command.data)[0].stem)
     folder = locate(command.runs_dir, command.name or f"{file}-{command.method or command.preset}")
 
     def body(stop: StopRequest) -> int:

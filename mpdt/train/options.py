@@ -17,7 +17,8 @@ class Run:
     folder continues where it stopped. Every setting of every part can be given as well, for
     example --seed 1, --quality medium, --inputs.return-to-go none, --prompts.length 9;
     `mpdt-train settings` lists them all. After training, other --adapt, --statistics and
-    --evaluation settings judge the same weights again. Other commands: settings, report.
+    --evaluation settings judge the same weights again. Other commands: methods, settings, adapt,
+    evaluate, study, report, bundle, rollout, push, pull.
     """
 
     data: str
@@ -26,7 +27,7 @@ class Run:
     """Settings to start from: smoke, demo, base, paper."""
     method: str | None = None
     """MPDT, MPDT-E, MPDT-WP, Soft-Prompt, Prompt-DT, MT-BC, LaMo, ...: lays a method over the
-    preset. An unknown name lists them all; default: the preset's own."""
+    preset. `mpdt-train methods` tells of all; default: the preset's own."""
     adapt: str | None = None
     """Start of adaptation, such as cross or infer. Short for --adapt.starts."""
     name: str | None = None
@@ -56,6 +57,18 @@ class Settings:
     """smoke, demo, base, paper."""
     json: bool = False
     """As JSON instead of one option a line."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+@dataclass(frozen=True)
+class Methods:
+    """Every method in one sentence, with what it reads at test time and its paper."""
+
+    preset: str = "base"
+    """The preset the methods are laid over: smoke, demo, base, paper."""
+    json: bool = False
+    """As JSON."""
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
     """Show tracebacks."""
 
@@ -223,8 +236,9 @@ class Pull:
     """Show tracebacks."""
 
 
-Command = Run | Settings | Evaluate | Study | Report | Bundle | Rollout | Push | Pull
+Command = Run | Methods | Settings | Evaluate | Study | Report | Bundle | Rollout | Push | Pull
 COMMANDS: dict[str, type[Command]] = {
-    "run": Run, "settings": Settings, "adapt": Adapt, "evaluate": Evaluate, "study": Study,
-    "report": Report, "bundle": Bundle, "rollout": Rollout, "push": Push, "pull": Pull,
+    "run": Run, "methods": Methods, "settings": Settings, "adapt": Adapt, "evaluate": Evaluate,
+    "study": Study, "report": Report, "bundle": Bundle, "rollout": Rollout, "push": Push,
+    "pull": Pull,
 }  # fmt: skip

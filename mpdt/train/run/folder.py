@@ -18,6 +18,7 @@ import json
 import os
 import re
 import shutil
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -89,6 +90,12 @@ class RunFolder:
 
     def judged_ones(self) -> list[Path]:
         return sorted((self.path / "judged").glob("*.json"))
+
+
+def fitting_name(stem: str) -> str:
+    """A name for a run on that file: `my data` -> `my-data`, `Übung 3` -> `Ubung-3`."""
+    plain = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode("ascii")
+    return re.sub(r"[^A-Za-z0-9_.+]+", "-", plain).strip("-_.+") or "run"
 
 
 def locate(runs_dir: Path, name: str) -> RunFolder:
