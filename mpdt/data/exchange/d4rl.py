@@ -48,7 +48,7 @@ def write(selection: Selection, folder: Path) -> None:
     """One file per task and quality. Memory holds one episode. Raises: OSError."""
     for run in selection.runs():
         words = (selection.header.family, run.task.name, quality_name(run.quality))
-        with h5py.File(folder / f"{'-'.join(words)}.hdf5", "w") as file:
+        with hdf5.created(folder / f"{'-'.join(words)}.hdf5") as file:
             file.attrs.update(dict(zip(_NAMES, words, strict=True)))
             file.attrs["license"] = selection.header.license
             _write_run(file, selection, run)

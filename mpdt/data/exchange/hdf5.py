@@ -7,6 +7,7 @@ followed, wherever in the file it is.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import prod
@@ -32,6 +33,63 @@ _DAMAGE = (
     OSError, RuntimeError, ValueError, TypeError, KeyError, IndexError, AttributeError,
     OverflowError, MemoryError, NotImplementedError,
 )  # fmt: skip
+
+
+@contextmanager
+def created(path: Path) -> Iterator[h5py.File]:
+    """A new file for writing.
+
+    Raises: OSError where the disk refuses, once HDF5 is done: it cannot close a file whose writes
+        fail, complains for every object in it, and takes the process down in the end.
+    """
+    with path.open("x+b", buffering=0) as stream:
+        kept = _Kept(stream)
+        with h5py.File(kept, "w") as file:
+            yield file
+        if kept.refusal is not None:
+            raise kept.refusal
+
+
+class _Kept:
+    """The bytes of a file being written; the first refusal of the disk is kept, not raised."""
+
+    def __init__(self, stream: io.FileIO) -> None:
+        self._stream = stream
+        self.refusal: OSError | None = None
+
+    def write(self, content: bytes) -> int:
+        if self.refusal is None:
+            view = memoryview(content)
+            try:
+                while view:
+                    view = view[self._stream.write(view) :]
+            except OSError as error:
+                self.refusal = error
+        return len(content)
+
+    def truncate(self, size: int) -> int:
+        if self.refusal is None:
+            try:
+                return self._stream.truncate(size)
+            except OSError as error:
+                self.refusal = error
+        return size
+
+    def readinto(self, buffer: bytearray) -> int:
+        memoryview(buffer)[:] = bytes(len(buffer))  # behind a refusal, or the end, are zeros
+        return self._stream.readinto(buffer) or 0
+
+    def read(self, size: int = -1) -> bytes:
+        return self._stream.read(size) or b""
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._stream.seek(offset, whence)
+
+    def tell(self) -> int:
+        return self._stream.tell()
+
+    def flush(self) -> None:
+        """Nothing is held back here."""
 
 
 @contextmanager

@@ -62,7 +62,7 @@ def write(selection: Selection, folder: Path, link: bool = False) -> None:
         name = _id(selection, run)
         place = folder / name / "data"
         place.mkdir(parents=True)
-        with h5py.File(place / _MAIN, "w") as file:
+        with hdf5.created(place / _MAIN) as file:
             for number, i in enumerate(run.ids.tolist()):
                 group = file.create_group(f"episode_{number}")
                 _write_episode(group, selection, i, number, link)

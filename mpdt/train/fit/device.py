@@ -10,6 +10,8 @@ that have a device and no values. No accelerator has been used yet.
 from __future__ import annotations
 
 import contextlib
+import os
+import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import fields
@@ -42,13 +44,15 @@ class HardwareSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 class Hardware:
     """The device of one training phase, and the processes that share it.
 
-    Raises: UsageError for a device this machine does not have.
+    Raises: UsageError for a device or a compiler this machine does not have.
     """
 
     def __init__(self, settings: HardwareSettings, group: Group = ALONE) -> None:
         if settings.device == "cuda" and not torch.cuda.is_available():
             raise UsageError("no such device here", where="hardware.device", found="cuda",
                              hint="--hardware.device cpu")  # fmt: skip
+        if settings.compile == "inductor" and not any(map(shutil.which, _compilers())):
+            raise _not_compiled("no C++ compiler: " + ", ".join(_compilers()))
         self.settings, self.group = settings, group
         self.device = torch.device(settings.device)
         # Without float16 the scaler hands everything through untouched.
@@ -91,6 +95,8 @@ class Hardware:
         """Modules and the optimizer's moments on the device, blocks compiled; undone afterwards.
 
         Parameters stay the same objects, so an optimizer made before goes on working.
+
+        Raises: UsageError where the backend cannot compile them.
         """
         compiled = [] if self.settings.compile == "none" else list(backbone.blocks())
         self._move(self.device, optimizer, modules)
@@ -98,6 +104,10 @@ class Hardware:
             block.compile(backend=self.settings.compile)
         try:
             yield
+        except Exception as error:
+            if compiled and type(error).__module__.startswith(("torch._dynamo", "torch._inductor")):
+                raise _not_compiled(str(error).strip().partition("\n")[0][:200]) from error
+            raise
         finally:
             for block in compiled:
                 block._compiled_call_impl = None
@@ -114,6 +124,17 @@ class Hardware:
             for name, value in state.items():
                 if name != "step":  # torch keeps its count of updates on the processor
                     state[name] = value.to(device)
+
+
+def _compilers() -> tuple[str, ...]:
+    """Those that inductor would look for."""
+    return (named,) if (named := os.environ.get("CXX")) else ("g++", "clang++")
+
+
+def _not_compiled(found: str) -> UsageError:
+    return UsageError("cannot be compiled here", where="hardware.compile", found=found,
+                      hint="install a C++ compiler (g++), or leave it out: --hardware.compile none"
+                      )  # fmt: skip
 
 
 PROCESSOR = Hardware(HardwareSettings())

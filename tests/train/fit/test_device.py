@@ -1,6 +1,7 @@
 """Devices and arithmetic: equal to the plain path on the processor; nothing left behind."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -118,3 +119,29 @@ def test_only_an_overflow_of_float16_may_be_tried_again():
     scaled = Hardware(HardwareSettings(autocast="float16"))
     assert scaled.accepts(finite) and not scaled.accepts(infinite)
     assert PROCESSOR.accepts(infinite), "told as a loss that is no number"
+
+
+def test_a_backend_without_a_compiler_is_refused_first(monkeypatch):
+    monkeypatch.setenv("PATH", "/nonexistent")
+    monkeypatch.delenv("CXX", raising=False)
+    with pytest.raises(UsageError, match="no C\\+\\+ compiler") as caught:
+        Hardware(HardwareSettings(compile="inductor"))
+    assert "--hardware.compile none" in caught.value.hint
+    Hardware(HardwareSettings(compile="eager"))
+
+
+def test_a_backend_that_fails_is_one_error():
+    class FailedError(RuntimeError):
+        __module__ = "torch._inductor.exc"
+
+    module = torch.nn.Linear(2, 2)
+    optimizer = torch.optim.AdamW(module.parameters())
+    backbone = SimpleNamespace(blocks=lambda: [module])
+    hardware = Hardware(HardwareSettings(compile="eager"))
+    told = "CppCompileError: boom\n" + "line\n" * 150
+    with pytest.raises(UsageError, match="cannot be compiled here") as caught:
+        with hardware.working(backbone, optimizer, module):
+            raise FailedError(told)
+    assert caught.value.found == "CppCompileError: boom"
+    with pytest.raises(RuntimeError, match="ours"), hardware.working(backbone, optimizer, module):
+        raise RuntimeError("ours")
