@@ -10,7 +10,9 @@ from __future__ import annotations
 import os
 import stat
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+import msgspec
 
 from mpdt.errors import FormatError, MissingFileError, StorageError
 
@@ -22,6 +24,8 @@ _KINDS = {
     stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
 }  # fmt: skip
 
+MAX_NESTING = 50
+"""Of JSON; ours is ten deep."""
 HEAD_BYTES = 512
 _UNPACK, _FETCH = "unpack it first", "fetch the file itself first"
 _HEADS: tuple[tuple[bytes, str, str], ...] = (
@@ -92,6 +96,41 @@ def read_plain(path: Path, limit: int = TEXT_BYTES) -> bytes:
                           expected=f"at most {limit:,} bytes",
                           found=f"{max(size, len(content)):,}")  # fmt: skip
     return content
+
+
+def parse_json(text: str | bytes) -> Any:
+    """JSON as its standard has it: no NaN, no number that is none, no half of a character.
+
+    Raises: ValueError, also for what is nested deeper than `MAX_NESTING`.
+    """
+    try:
+        value = msgspec.json.decode(text)
+    except RecursionError as error:
+        raise ValueError(f"nested deeper than {MAX_NESTING}") from error
+    layer = [value]
+    for _ in range(MAX_NESTING):
+        layer = [
+            item for one in layer if isinstance(one, dict | list)
+            for item in (one.values() if isinstance(one, dict) else one)
+        ]  # fmt: skip
+        if not layer:
+            return value
+    raise ValueError(f"nested deeper than {MAX_NESTING}")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a file of JSON.
+
+    Raises: MissingFileError; FormatError for anything else; StorageError.
+    """
+    content = read_plain(path)
+    try:
+        value = parse_json(content)
+    except ValueError as error:
+        raise FormatError("not JSON", where=str(path), found=str(error)[:120]) from error
+    if not isinstance(value, dict):
+        raise FormatError("not a JSON object", where=str(path), found=type(value).__name__)
+    return value
 
 
 def told_by(head: bytes) -> tuple[str, str]:

@@ -31,7 +31,8 @@ from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.digest import episode_digest
 from mpdt.data.store.tables import Steps
 from mpdt.disk import disk, holding, replacing, write_bytes
-from mpdt.errors import DataError
+from mpdt.errors import DataError, FormatError, MissingFileError
+from mpdt.reading import read_json
 
 _COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
 
@@ -83,8 +84,8 @@ class PartsFolder:
 
     def _read_plan(self) -> Any:
         try:
-            return json.loads((self.path / "plan.json").read_bytes())
-        except (FileNotFoundError, ValueError):
+            return read_json(self.path / "plan.json")
+        except (MissingFileError, FormatError):
             return None
 
     def clear(self) -> None:

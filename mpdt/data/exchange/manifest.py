@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from mpdt.data.exchange.selection import Selection
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.errors import FormatError, MissingFileError
+from mpdt.reading import parse_json
 
 KEY = "mpdt"
 """Name under which a format keeps the manifest."""
@@ -45,8 +45,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     def from_json(cls, text: str | bytes, where: str) -> Manifest:
         """Raises: FormatError for anything but a manifest."""
         try:
-            return msgspec.convert(json.loads(text), cls, strict=False)
-        except (ValueError, RecursionError, msgspec.ValidationError) as error:
+            return msgspec.convert(parse_json(text), cls, strict=False)
+        except ValueError as error:
             raise FormatError("not an export of mpdt, or changed", where=where,
                               found=str(error)[:120],
                               hint="export it again, or name its --family to import it as "

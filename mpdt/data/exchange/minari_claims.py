@@ -8,7 +8,6 @@ options/task, options/quality, options/goal                  of each of our epis
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from typing import Any
@@ -23,6 +22,7 @@ from mpdt.data.exchange.manifest import KEY
 from mpdt.data.exchange.treatment import Rules
 from mpdt.data.spec.tasks import FAMILIES, Family
 from mpdt.errors import FormatError
+from mpdt.reading import parse_json
 
 _VERSION = re.compile(r"-v\d+$")
 
@@ -74,8 +74,8 @@ def _in_id(name: Any) -> Said:
 
 def _in_env(text: Any, family: Family) -> Said:
     try:
-        arguments = json.loads(text)["kwargs"]
-    except (TypeError, ValueError, KeyError, RecursionError):
+        arguments = parse_json(text)["kwargs"]
+    except (TypeError, ValueError, KeyError):
         return Said()
     if not isinstance(arguments, Mapping):
         return Said()
@@ -90,8 +90,8 @@ def _in_env(text: Any, family: Family) -> Said:
 
 def _in_manifest(text: Any) -> Said:
     try:
-        header = json.loads(text)["header"]
-    except (TypeError, ValueError, KeyError, RecursionError):
+        header = parse_json(text)["header"]
+    except (TypeError, ValueError, KeyError):
         return Said()
     if not isinstance(header, Mapping):
         return Said()

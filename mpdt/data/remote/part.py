@@ -8,7 +8,6 @@ Its name must be known to whoever goes on, so the target is held as long as it i
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from contextlib import ExitStack, suppress
@@ -17,6 +16,7 @@ from types import TracebackType
 
 from mpdt.disk import disk, holding, put_file, write_bytes
 from mpdt.errors import StorageError
+from mpdt.reading import parse_json
 
 
 class Part:
@@ -98,7 +98,7 @@ def take_part(target: Path, source: str) -> bool:
     found = None
     if os.path.lexists(note):
         with suppress(OSError, ValueError):
-            if not note.is_symlink() and isinstance(json.loads(note.read_bytes()), list):
+            if not note.is_symlink() and isinstance(parse_json(note.read_bytes()), list):
                 found = note.read_text(encoding="utf-8")
     if found == source and not part.is_symlink():
         return True

@@ -7,7 +7,6 @@ K tasks, M goals, G goal size, P policies.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -182,8 +181,8 @@ def parse_json(text: str, where: str) -> dict[str, Any]:
     Raises: FormatError.
     """
     try:
-        value = json.loads(text)
-    except (ValueError, RecursionError) as error:  # also numbers of thousands of digits
+        value = parse_json(text)
+    except ValueError as error:
         raise FormatError("not JSON", where=where, found=text[:60]) from error
     if not isinstance(value, dict):
         raise FormatError("not a JSON object", where=where, found=text[:60])

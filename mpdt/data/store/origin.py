@@ -12,10 +12,14 @@ import difflib
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.spec.catalog import load_catalog
-from mpdt.errors import MpdtError
+from mpdt.errors import MpdtError, quoted
+
+if TYPE_CHECKING:
+    from mpdt.data.store.dataset import Dataset
 
 LIST = "mpdt-data list shows what can be made"
 
@@ -36,6 +40,18 @@ def damaged_hint(path: Path) -> str:
     """How to get a file again that is there, but not whole."""
     command = _command(path, _entries())
     return f"copy it again, or delete it and make it again: {command or LIST}"
+
+
+def again_hint(dataset: Dataset) -> str:
+    """How to get the episodes of an open file again."""
+    if "import" in dataset.spec:
+        return "import it again from its sources"
+    if dataset.lineage or dataset.parent:
+        return f"make it again from its source: mpdt-data show {quoted(dataset.path)} says which"
+    name, smoke = dataset.name.removesuffix("-smoke"), dataset.name.endswith("-smoke")
+    if name not in _entries():
+        return "take another copy, or ask whoever made it"
+    return f"collect it again: {_collect([name, *(['--smoke'] if smoke else [])], dataset.path)}"
 
 
 def _command(path: Path, known: Iterable[str]) -> str:

@@ -42,8 +42,8 @@ def check_tree(tree: Tree, where: Path) -> None:
     """`check_seal` of a file whose tree is known already."""
     if not _holds(tree):
         raise FormatError("the seal is broken: something outside the episodes was changed",
-                          where=str(where), hint="mpdt-data verify says what; collect it again "
-                          "or take another copy")  # fmt: skip
+                          where=str(where), hint="mpdt-data verify says what; take another "
+                          "copy, or make it again")  # fmt: skip
 
 
 def seal_holds(path: Path) -> bool:

@@ -148,7 +148,7 @@ class Tree:
             value = self.arrays[path].values
         else:
             raise FormatError(f"attribute '{key}' of /{group} is missing", where=self.where,
-                              hint="the file is damaged or foreign; collect it again")  # fmt: skip
+                              hint="the file is damaged or foreign; take another copy")  # fmt: skip
         return value.decode("utf-8") if isinstance(value, bytes) else str(value)
 
     def json(self, group: str, key: str) -> dict[str, Any]:
@@ -172,7 +172,7 @@ class Tree:
                 if column.optional:
                     continue
                 raise FormatError(f"dataset /{group}/{column.path} is missing", where=self.where,
-                                  hint="the file is damaged or foreign; collect it again",
+                                  hint="the file is damaged or foreign; take another copy",
                                   )  # fmt: skip
             dtype, shape = found.dtype, found.shape
             if not (found.is_text if column.dtype == "str" else dtype == np.dtype(column.dtype)):

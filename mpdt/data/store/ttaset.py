@@ -100,9 +100,7 @@ def find_tta_set(dataset: Dataset, name: str, rows: Sequence[int]) -> TtaSet:
     where = str(dataset.path)
     if not dataset.tta:
         raise DataError("no set for test-time adaptation in this file", where=where,
-                        hint="give the entry a `tta:` and run: "
-                             f"mpdt-data collect {quoted(dataset.name)}, or skip adaptation: "
-                             "--adapt.starts none")  # fmt: skip
+                        hint=_without_set(dataset))  # fmt: skip
     if name not in dataset.tta:
         raise unknown_name("TTA set", name, dataset.tta, where=where)
     chosen = dataset.tta[name]
@@ -112,3 +110,10 @@ def find_tta_set(dataset: Dataset, name: str, rows: Sequence[int]) -> TtaSet:
                             f"{dataset.tasks.names[row]}", where=where,
                             hint="skip adaptation: --adapt.starts none")  # fmt: skip
     return chosen
+
+
+def _without_set(dataset: Dataset) -> str:
+    skip = "skip adaptation: --adapt.starts none"
+    if "import" in dataset.spec:  # it does not say how more of it could be simulated
+        return skip
+    return f"add one: mpdt-data tta {quoted(dataset.path)}; or {skip}"

@@ -14,6 +14,7 @@ import numpy as np
 from mpdt.data.collect.levels import TaskLevels
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.reference import Reference, References
+from mpdt.data.store.origin import again_hint
 from mpdt.data.verify.finding import Fault, Finding, fault, judge
 from mpdt.data.verify.material import Material
 from mpdt.errors import quoted
@@ -49,8 +50,7 @@ def check_quality(material: Material) -> Finding:
     text = f"random < medium < expert in {ordered}/{count} tasks"
     if shown:
         text += f"; medium level {min(shown):.2f} to {max(shown):.2f}"
-    hint = f"mpdt-data show {quoted(material.path)}; "
-    hint += f"then: mpdt-data collect {quoted(data.name)} --restart"
+    hint = f"mpdt-data show {quoted(material.path)}; then {again_hint(data)}"
     return judge(ID, faults, text, hint)
 
 

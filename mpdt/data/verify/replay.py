@@ -25,6 +25,7 @@ from mpdt.data.sim.stored import play_stored
 from mpdt.data.spec.tasks import Family, get_family
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.origin import again_hint
 from mpdt.data.store.ttaset import tta_episodes
 from mpdt.data.verify.finding import Fault, Finding, Outcome, fault, judge
 from mpdt.data.verify.material import Material
@@ -178,7 +179,7 @@ def check_replay(material: Material, amount: Amount, say: Callable[[str], None])
         f"(mujoco {provenance.packages().get('mujoco', 'absent')})"
     )
     hint = f"mpdt-data verify {quoted(material.path)} --only replay --replay all; "
-    hint += "then collect it again"
+    hint += f"then {again_hint(material.dataset)}"
     return judge(ID, faults, passed, "" if excuse else hint)
 
 

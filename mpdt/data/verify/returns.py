@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mpdt.data.store.origin import again_hint
 from mpdt.data.store.tables import Episodes
 from mpdt.data.verify.finding import Fault, Finding, judge
 from mpdt.data.verify.material import Chunk, Material, Track
@@ -51,7 +52,7 @@ class ReturnsCheck:
                 some = ", ".join(unknown[:3]) + (" ..." if len(unknown) > 3 else "")
                 doubt = material.is_imported
                 faults.append(Fault(f"reference {name} unknown: {some}", is_doubt=doubt))
-        hint = (
-            f"mpdt-data show {quoted(material.path)} lists returns and references; collect it again"
-        )
+        hint = f"mpdt-data show {quoted(material.path)} lists returns and references"
+        if not material.is_imported:  # an import never has more than its source said
+            hint += f"; {again_hint(material.dataset)}"
         return judge(self.id, faults, "stored = recomputed, references finite", hint)

@@ -8,13 +8,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from mpdt.errors import FormatError
-from mpdt.reading import read_plain
 
 KEY = "digest"
 FORMAT = "mpdt-results/2"
@@ -37,19 +33,6 @@ def check_digest(content: Mapping[str, Any], where: str, hint: str) -> None:
         raise FormatError("changed after it was written", where=where,
                           expected=f"digest {str(said)[:12]}" if said else "a digest",
                           found=found[:12], hint=hint)  # fmt: skip
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """The object in a file of JSON.
-
-    Raises: MissingFileError; FormatError for anything else; StorageError.
-    """
-    content = read_plain(path)
-    try:
-        return msgspec.json.decode(content, type=dict[str, Any])
-    except (ValueError, RecursionError) as error:
-        raise FormatError("not a JSON object", where=str(path),
-                          found=str(error)[:120]) from error  # fmt: skip
 
 
 def _digest(content: Mapping[str, Any]) -> str:

@@ -21,8 +21,9 @@ from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
 from mpdt.data.slices.windows import RewardReturns, WindowBatch, gather_windows
 from mpdt.data.spec.goals import GoalSet
 from mpdt.data.spec.tasks import Family, Task, get_family
+from mpdt.data.store.origin import again_hint
 from mpdt.data.store.reader import Dataset, open_dataset, parse_ref
-from mpdt.errors import DataError, quoted, unknown_name
+from mpdt.errors import DataError, unknown_name
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import SeedKey, generator_at
 
@@ -133,9 +134,9 @@ def load_material(ref: str, quality: str) -> Material:
                         expected="a task of role train or both",
                         hint="cut-outs of test tasks cannot be trained on")  # fmt: skip
     if "observations" not in dataset.stats:
-        raise DataError("no statistics of the training tasks", where=str(path),
-                        hint="collect it again: "
-                             f"mpdt-data collect {quoted(dataset.name)}")  # fmt: skip
+        raise DataError(
+            "no statistics of the training tasks", where=str(path), hint=again_hint(dataset)
+        )
     chosen = _choose_quality(dataset, slice_name, train_rows, quality)
     ids = {
         row: dataset.select(task=row, quality=None if chosen == ALL else chosen, slice=slice_name)

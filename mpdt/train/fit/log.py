@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,13 @@ import msgspec
 
 from mpdt.disk import disk, sync
 from mpdt.errors import FormatError, StorageError
+from mpdt.reading import parse_json
 
 
 class Line(msgspec.Struct, frozen=True):
     """What is looked at of a line; other keys may stand there too."""
 
-    phase: str = ""
+    phase: str
     step: int = 0
     action_loss: float = 0.0
     start: str = ""
@@ -28,6 +29,9 @@ class Line(msgspec.Struct, frozen=True):
 
 # What a line of these phases has to have.
 _NEEDED = {"adapt": ("step", "start", "losses"), "infer": ("task", "weights")}
+
+
+_MEND = "remove the line, or train again with --restart"
 
 
 class MetricsLog:
@@ -76,19 +80,32 @@ class MetricsLog:
             raise StorageError("cannot read", where=str(self.path), found=str(error)) from error
         if lines and not lines[-1].endswith(b"\n"):
             del lines[-1]
-        return [self._record(line, number) for number, line in enumerate(lines, 1)]
+        records = [self._record(line, number) for number, line in enumerate(lines, 1)]
+        self._check_tasks(records)
+        return records
+
+    def _check_tasks(self, records: Sequence[Mapping[str, Any]]) -> None:
+        """Raises: FormatError where lines of one start tell of different numbers of tasks."""
+        counts: dict[str, int] = {}
+        for number, record in enumerate(records, 1):
+            if record["phase"] != "adapt":
+                continue
+            losses = record["losses"]
+            if (known := counts.setdefault(record["start"], len(losses))) != len(losses):
+                raise FormatError("another number of tasks than before",
+                                  where=f"{self.path}, line {number}", expected=str(known),
+                                  found=str(len(losses)), hint=_MEND)  # fmt: skip
 
     def _record(self, line: bytes, number: int) -> dict[str, Any]:
         try:
-            record = msgspec.json.decode(line, type=dict[str, Any])
+            record: dict[str, Any] = parse_json(line)
             known = msgspec.convert(record, Line)
             needed = ("phase", "step") if "action_loss" in record else _NEEDED.get(known.phase, ())
             missing = [key for key in needed if key not in record]
             if missing:
                 raise ValueError(f"no `{missing[0]}` in a line of phase `{known.phase}`")
-        except (ValueError, RecursionError) as error:
+        except ValueError as error:
             raise FormatError("not a line of metrics", where=f"{self.path}, line {number}",
-                              found=str(error) or type(error).__name__,
-                              hint="remove the line, or train again with --restart"
-                              ) from error  # fmt: skip
+                              found=str(error),
+                              hint=_MEND) from error  # fmt: skip
         return record

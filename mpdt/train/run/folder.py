@@ -30,12 +30,14 @@ from mpdt.disk import disk, holding, sync, write_bytes
 from mpdt.errors import (
     FormatError,
     MissingFileError,
+    MpdtError,
     SpecError,
     StorageError,
     TrainingError,
     UsageError,
     quoted,
 )
+from mpdt.reading import read_json
 from mpdt.train.fit.log import MetricsLog
 from mpdt.train.run.config import TrainConfig, from_plain
 from mpdt.train.run.identity import Identity
@@ -192,12 +194,12 @@ def _read_config(folder: RunFolder) -> dict[str, Any]:
         what is damaged.
     """
     try:
-        stored: dict[str, Any] = json.loads(folder.config.read_text(encoding="utf-8"))
-        found = str(stored.get("format"))
-    except (OSError, ValueError, AttributeError) as error:
-        raise TrainingError("unreadable", where=str(folder.config), found=str(error),
+        stored = read_json(folder.config)
+    except MpdtError as error:
+        raise TrainingError("unreadable", where=str(folder.config),
+                            found=error.found or error.what,
                             hint="begin anew with --restart") from error  # fmt: skip
-    if found != FORMAT:
+    if (found := str(stored.get("format"))) != FORMAT:
         raise TrainingError(
             "not a run of this version",
             where=str(folder.config),
@@ -211,7 +213,16 @@ def _read_config(folder: RunFolder) -> dict[str, Any]:
             raise FormatError(f"no object '{part}' with its 'data'", where=str(folder.config),
                               found=json.dumps(facts)[:40],
                               hint="begin anew with --restart")  # fmt: skip
+        if not isinstance(facts["data"].get("slice"), str | None):
+            raise FormatError(f"the slice in '{part}' is no name", where=str(folder.config),
+                              hint="begin anew with --restart")  # fmt: skip
     return stored
+
+
+def stored_slice(folder: RunFolder) -> str | None:
+    """The slice that the run in that folder was trained on. Raises: as `stored_settings`."""
+    found: str | None = _read_config(folder)["training"]["data"].get("slice")
+    return found
 
 
 def stored_settings(path: Path) -> TrainConfig:

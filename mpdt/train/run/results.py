@@ -13,8 +13,9 @@ import msgspec
 
 from mpdt.disk import sync
 from mpdt.errors import FormatError, MissingFileError
+from mpdt.reading import read_json
 from mpdt.train.evaluate.score import Score
-from mpdt.train.evaluate.sealed import FORMAT, check_digest, read_json
+from mpdt.train.evaluate.sealed import FORMAT, check_digest
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from mpdt.disk import write_bytes
-from mpdt.errors import FormatError, MissingFileError, StorageError
+from mpdt.errors import MpdtError
+from mpdt.reading import read_json
 from mpdt.train.run.folder import RunFolder
 from mpdt.train.run.results import read_results_file
 
@@ -42,8 +43,8 @@ class Spent:
 def _read(folder: RunFolder) -> float:
     """Of earlier processes; of a run from before this was kept, what its results say."""
     try:
-        found: Any = json.loads(folder.spent.read_bytes())["training_s"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        found: Any = read_json(folder.spent).get("training_s")
+    except MpdtError:
         # A judgement that came later trained nothing and said so.
         earlier = [folder.results, *folder.judged_ones()]
         return max(filter(_is_time, map(_told, earlier)), default=0.0)
@@ -53,7 +54,7 @@ def _read(folder: RunFolder) -> float:
 def _told(path: Path) -> Any:
     try:
         seconds = read_results_file(path).get("seconds")
-    except (FormatError, MissingFileError, StorageError):
+    except MpdtError:
         return None
     return seconds.get("training") if isinstance(seconds, dict) else None
 

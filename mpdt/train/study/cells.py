@@ -15,8 +15,9 @@ import msgspec
 from msgspec import Meta
 
 from mpdt.errors import FormatError, StorageError
+from mpdt.reading import read_json
 from mpdt.train.evaluate.score import MEAN, Score
-from mpdt.train.evaluate.sealed import check_digest, read_json
+from mpdt.train.evaluate.sealed import check_digest
 from mpdt.train.run.results import scores_in
 
 # Both are made parts of paths.

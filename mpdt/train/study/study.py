@@ -19,7 +19,8 @@ import numpy as np
 
 from mpdt.disk import disk, write_bytes
 from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError
-from mpdt.train.evaluate.sealed import check_digest, read_json, sealed
+from mpdt.reading import read_json
+from mpdt.train.evaluate.sealed import check_digest, sealed
 from mpdt.train.run.config import TrainConfig, from_plain, to_plain
 from mpdt.train.run.folder import locate
 from mpdt.train.run.identity import plain_settings
