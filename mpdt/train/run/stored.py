@@ -6,7 +6,6 @@ Nothing is written into the run's folder.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
@@ -37,7 +36,7 @@ from mpdt.train.bundle.read import is_bundle, read_contents
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.build import build
 from mpdt.train.run.config import TrainConfig, to_plain
-from mpdt.train.run.folder import RunFolder, stored_settings
+from mpdt.train.run.folder import RunFolder, stored_settings, stored_slice
 from mpdt.train.run.older import as_stored
 from mpdt.train.run.prepare import Prepared, prepare
 from mpdt.train.run.results import read_results
@@ -162,13 +161,12 @@ def _data_of(folder: RunFolder, data: Path | str | None) -> str:
     if data is not None:
         path, name = parse_ref(str(data))
     else:
-        file = str(read_results(folder.path)["data"]["file"])
+        file = str(read_results(folder.path).get("data", {}).get("file"))
         places = (Path(), folder.path.parent, folder.path.parent.parent)
         found = [place / file for place in places if (place / file).is_file()]
         if not found:
             raise MissingFileError("the file of this run is not here", where=file,
                                    hint="say where: load_policy(..., data=FILE)")  # fmt: skip
         path = found[0]
-    stored = json.loads(folder.config.read_text(encoding="utf-8"))["training"]["data"]
-    name = name or stored["slice"]
+    name = name or stored_slice(folder)
     return f"{path}:{name}" if name else str(path)
