@@ -98,7 +98,7 @@ def read_plain(path: Path, limit: int = TEXT_BYTES) -> bytes:
     return content
 
 
-def parse_json(text: str | bytes) -> Any:
+def decode_json(text: str | bytes) -> Any:
     """JSON as its standard has it: no NaN, no number that is none, no half of a character.
 
     Raises: ValueError, also for what is nested deeper than `MAX_NESTING`.
@@ -125,7 +125,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """
     content = read_plain(path)
     try:
-        value = parse_json(content)
+        value = decode_json(content)
     except ValueError as error:
         raise FormatError("not JSON", where=str(path), found=str(error)[:120]) from error
     if not isinstance(value, dict):

@@ -59,13 +59,15 @@ class _Kept:
 
     def write(self, content: bytes) -> int:
         if self.refusal is None:
-            view = memoryview(content)
             try:
-                while view:
-                    view = view[self._stream.write(view) :]
+                self._put(memoryview(content))
             except OSError as error:
                 self.refusal = error
         return len(content)
+
+    def _put(self, view: memoryview) -> None:
+        while view:
+            view = view[self._stream.write(view) :]
 
     def truncate(self, size: int) -> int:
         if self.refusal is None:

@@ -12,7 +12,7 @@ from mpdt.data.exchange.selection import Selection
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.errors import FormatError, MissingFileError
-from mpdt.reading import parse_json
+from mpdt.reading import decode_json
 
 KEY = "mpdt"
 """Name under which a format keeps the manifest."""
@@ -45,7 +45,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     def from_json(cls, text: str | bytes, where: str) -> Manifest:
         """Raises: FormatError for anything but a manifest."""
         try:
-            return msgspec.convert(parse_json(text), cls, strict=False)
+            return msgspec.convert(decode_json(text), cls, strict=False)
         except ValueError as error:
             raise FormatError("not an export of mpdt, or changed", where=where,
                               found=str(error)[:120],

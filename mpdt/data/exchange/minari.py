@@ -38,7 +38,7 @@ from mpdt.data.exchange.treatment import RawEpisode, Rules, check_length
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.sources import EpisodeSource
 from mpdt.errors import DataError, FormatError, UsageError
-from mpdt.reading import parse_json, read_plain, refuse_other
+from mpdt.reading import decode_json, read_plain, refuse_other
 from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
 VERSION = "0.5.0"  # readers accept an exact list; all since 0.5.0 have this one in it
@@ -200,7 +200,7 @@ def _read_metadata(folder: Path) -> dict[str, Any]:
     refuse_other(path, "the metadata of a Minari dataset", "text")
     content = read_plain(path)
     try:
-        metadata = parse_json(content)
+        metadata = decode_json(content)
         form, episodes = metadata["data_format"], metadata["total_episodes"]
     except (ValueError, TypeError, KeyError) as error:
         raise FormatError("not the metadata of a Minari dataset", where=str(path),

@@ -22,7 +22,7 @@ from mpdt.data.exchange.manifest import KEY
 from mpdt.data.exchange.treatment import Rules
 from mpdt.data.spec.tasks import FAMILIES, Family
 from mpdt.errors import FormatError
-from mpdt.reading import parse_json
+from mpdt.reading import decode_json
 
 _VERSION = re.compile(r"-v\d+$")
 
@@ -74,7 +74,7 @@ def _in_id(name: Any) -> Said:
 
 def _in_env(text: Any, family: Family) -> Said:
     try:
-        arguments = parse_json(text)["kwargs"]
+        arguments = decode_json(text)["kwargs"]
     except (TypeError, ValueError, KeyError):
         return Said()
     if not isinstance(arguments, Mapping):
@@ -90,7 +90,7 @@ def _in_env(text: Any, family: Family) -> Said:
 
 def _in_manifest(text: Any) -> Said:
     try:
-        header = parse_json(text)["header"]
+        header = decode_json(text)["header"]
     except (TypeError, ValueError, KeyError):
         return Said()
     if not isinstance(header, Mapping):

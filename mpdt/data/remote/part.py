@@ -16,7 +16,7 @@ from types import TracebackType
 
 from mpdt.disk import disk, holding, put_file, write_bytes
 from mpdt.errors import StorageError
-from mpdt.reading import parse_json
+from mpdt.reading import decode_json
 
 
 class Part:
@@ -98,7 +98,7 @@ def take_part(target: Path, source: str) -> bool:
     found = None
     if os.path.lexists(note):
         with suppress(OSError, ValueError):
-            if not note.is_symlink() and isinstance(parse_json(note.read_bytes()), list):
+            if not note.is_symlink() and isinstance(decode_json(note.read_bytes()), list):
                 found = note.read_text(encoding="utf-8")
     if found == source and not part.is_symlink():
         return True

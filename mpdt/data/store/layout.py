@@ -19,6 +19,7 @@ from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.spec.tasks import Role
 from mpdt.errors import FormatError, UsageError
+from mpdt.reading import decode_json
 
 FORMAT = "mpdt/1"
 ALIGNMENT_BYTES = 64
@@ -181,7 +182,7 @@ def parse_json(text: str, where: str) -> dict[str, Any]:
     Raises: FormatError.
     """
     try:
-        value = parse_json(text)
+        value = decode_json(text)
     except ValueError as error:
         raise FormatError("not JSON", where=where, found=text[:60]) from error
     if not isinstance(value, dict):

@@ -12,7 +12,7 @@ import msgspec
 
 from mpdt.disk import disk, sync
 from mpdt.errors import FormatError, StorageError
-from mpdt.reading import parse_json
+from mpdt.reading import decode_json
 
 
 class Line(msgspec.Struct, frozen=True):
@@ -98,7 +98,7 @@ class MetricsLog:
 
     def _record(self, line: bytes, number: int) -> dict[str, Any]:
         try:
-            record: dict[str, Any] = parse_json(line)
+            record: dict[str, Any] = decode_json(line)
             known = msgspec.convert(record, Line)
             needed = ("phase", "step") if "action_loss" in record else _NEEDED.get(known.phase, ())
             missing = [key for key in needed if key not in record]

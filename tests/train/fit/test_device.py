@@ -139,9 +139,9 @@ def test_a_backend_that_fails_is_one_error():
     backbone = SimpleNamespace(blocks=lambda: [module])
     hardware = Hardware(HardwareSettings(compile="eager"))
     told = "CppCompileError: boom\n" + "line\n" * 150
-    with pytest.raises(UsageError, match="cannot be compiled here") as caught:
-        with hardware.working(backbone, optimizer, module):
-            raise FailedError(told)
+    failing = pytest.raises(UsageError, match="cannot be compiled here")
+    with failing as caught, hardware.working(backbone, optimizer, module):
+        raise FailedError(told)
     assert caught.value.found == "CppCompileError: boom"
     with pytest.raises(RuntimeError, match="ours"), hardware.working(backbone, optimizer, module):
         raise RuntimeError("ours")
