@@ -108,14 +108,14 @@ def test_a_damaged_configuration_is_one_error(tiny_file, tmp_path, damage, told)
 WAIT = """
 import builtins, sys, time
 real = builtins.__import__
-def slow(name, *rest):
+def slow(name, *rest, **named):
     if name == "torch" or name.startswith("mpdt.train.run.pipeline"):
         print("importing", flush=True)
         try:
             time.sleep(60)
         except BaseException as error:
             raise ImportError("as libraries do") from error
-    return real(name, *rest)
+    return real(name, *rest, **named)
 builtins.__import__ = slow
 from mpdt.train.cli import main
 main(sys.argv[1:])
