@@ -212,7 +212,9 @@ def in_npz(path: Path, random: Random) -> None:
 
 def in_pickle(path: Path, random: Random) -> None:
     """An episode with another type, shape or key somewhere; still a well-formed pickle."""
-    episodes = pickle.loads(path.read_bytes())  # ours, made above
+    from mpdt.data.exchange.unpickle import load_pickle
+
+    episodes = load_pickle(path)
     odd = [None, 1, 1e400, "x", b"x", [], {}, (), True, np.float32(1), np.zeros(()), 10**400,
            np.zeros((0, 3)), np.full((5, 20), np.nan), np.zeros((5, 20), "U3"), [[1], [2]],
            np.zeros((5, 20), np.complex64), np.zeros(5, "M8[s]"), float("nan")]  # fmt: skip

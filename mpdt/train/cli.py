@@ -5,7 +5,7 @@
     mpdt-train --data ml10.h5 --method Prompt-DT         a baseline or a variant
     mpdt-train --data ml10.h5 --adapt infer              our own zero-shot protocol
     mpdt-train --data ml10.h5 --inputs.return-to-go none --name no-rtg
-    mpdt-train methods                                   every method, and what it reads
+    mpdt-train methods                                   all of them, and what each reads
     mpdt-train settings --preset paper                   every setting and its value
     mpdt-train report runs/ml10-base                     the tables of a finished run
     mpdt-train adapt runs/ml10-base --data ml10.h5 --adapt.starts infer     no training
@@ -121,10 +121,9 @@ def execute(command: Command, rest: list[str]) -> int:
     if isinstance(command, Push | Pull):
         return _travel(command)
     if isinstance(command, Methods):
-        from mpdt.train.run.catalogue import catalogue, catalogue_text
+        from mpdt.train.run.catalogue import print_catalogue
 
-        sys.stdout.write(catalogue_text(catalogue(command.preset), command.json))
-        return 0
+        return print_catalogue(command.preset, command.json)
     return _study(command) if isinstance(command, Study) else _report(command)
 
 

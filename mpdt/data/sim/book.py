@@ -43,7 +43,7 @@ def read_book(path: Path, kind: type[Entry], format: str, what: str) -> tuple[En
     """
     try:
         book = msgspec.json.decode(read_plain(path), type=_Book[kind])  # type: ignore[valid-type]
-    except msgspec.DecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(f"not a {what}", where=str(path), found=str(error),
                         hint="delete it, or choose another file with -o") from error  # fmt: skip
     if book.format != format:

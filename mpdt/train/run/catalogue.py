@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import asdict, dataclass
 
 from mpdt.train.adapt.align import INFERRED, NOT_ADAPTED
@@ -80,10 +81,15 @@ def reads_of(config: TrainConfig) -> str:
     return ", ".join(dict.fromkeys(found))
 
 
-def catalogue_text(methods: list[MethodFacts], as_json: bool) -> str:
-    """Three aligned columns and a sentence below each, or JSON."""
-    if as_json:
-        return json.dumps([asdict(one) for one in methods], indent=1) + "\n"
+def print_catalogue(preset: str, as_json: bool) -> int:
+    """On stdout: three aligned columns and a sentence below each, or JSON. Returns 0."""
+    methods = catalogue(preset)
+    found = json.dumps([asdict(one) for one in methods], indent=1)
+    sys.stdout.write((found if as_json else _text(methods)) + "\n")
+    return 0
+
+
+def _text(methods: list[MethodFacts]) -> str:
     widths = [max(len(getattr(one, key)) for one in methods) for key in ("name", "reads")]
     lines = [f"{'method':<{widths[0]}}  {'reads':<{widths[1]}}  paper"]
     for one in methods:
@@ -91,4 +97,4 @@ def catalogue_text(methods: list[MethodFacts], as_json: bool) -> str:
                   f"    {one.sentence}"]  # fmt: skip
     lines += ["", "reads = of a test task before its first step: X = the set for test-time "
               "adaptation"]  # fmt: skip
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)

@@ -11,12 +11,12 @@ from mpdt.train.fit.log import MetricsLog
 
 def test_metrics_log_forgets_what_came_after_a_checkpoint(tmp_path):
     log = MetricsLog(tmp_path / "metrics.jsonl")
-    log.append({"step": 1})
+    log.append({"phase": "x", "step": 1})
     size_bytes = log.size_bytes
-    log.append({"step": 2})
+    log.append({"phase": "x", "step": 2})
     log.cut(size_bytes)
-    log.append({"step": 3})
-    assert log.records() == [{"step": 1}, {"step": 3}]
+    log.append({"phase": "x", "step": 3})
+    assert log.records() == [{"phase": "x", "step": step} for step in (1, 3)]
 
 
 @pytest.mark.parametrize(
@@ -24,8 +24,8 @@ def test_metrics_log_forgets_what_came_after_a_checkpoint(tmp_path):
     [
         ("[]", "Expected `object`"),
         ("{", "truncated"),
-        ('{"phase": ' + "[" * 3000 + "]" * 3000 + "}", "recursion"),
-        ('{"step": 1, "action_loss": 1.0}', "no `phase`"),
+        ('{"phase": ' + "[" * 3000 + "]" * 3000 + "}", "nested deeper"),
+        ('{"step": 1, "action_loss": 1.0}', "field `phase`"),
         ('{"phase": [], "step": 1}', "Expected `str`"),
         ('{"phase": "student", "action_loss": 1.0}', "no `step`"),
         ('{"phase": "student", "step": 1, "action_loss": [1.0]}', "Expected `float`"),
@@ -61,3 +61,11 @@ def test_a_log_is_on_the_disk_before_a_checkpoint_counts_on_it(tmp_path, monkeyp
     own.sync()
     own.cut(0)
     assert synced == [own.path, own.path]
+
+
+def test_lines_of_one_start_tell_of_the_same_tasks(tmp_path):
+    log = MetricsLog(tmp_path / "metrics.jsonl")
+    for start, losses in (("a", [1.0, 2.0]), ("b", [1.0]), ("a", [1.0])):
+        log.append({"phase": "adapt", "start": start, "step": 1, "losses": losses})
+    with pytest.raises(FormatError, match="line 3: another number of tasks than before"):
+        log.records()

@@ -154,10 +154,11 @@ def test_a_checkpoint_of_another_run_is_refused(material, backbone, tmp_path):
 def test_resuming_cuts_the_log_and_another_phase_starts_at_zero(material, backbone, tmp_path):
     subject, log = make_subject(material, backbone), MetricsLog(tmp_path / "m")
     checkpoint = Checkpoint(tmp_path / "c", {"run": "one"}, log)
-    log.append({"step": 1})
+    log.append({"phase": "x", "step": 1})
     checkpoint.save("teacher", 5, subject)
-    log.append({"step": 2})
-    assert checkpoint.resume("teacher", subject) == 5 and log.records() == [{"step": 1}]
+    log.append({"phase": "x", "step": 2})
+    assert checkpoint.resume("teacher", subject) == 5
+    assert log.records() == [{"phase": "x", "step": 1}]
     assert checkpoint.resume("student", subject) == 0
 
 
