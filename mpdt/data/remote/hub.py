@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from mpdt.errors import UsageError
+from mpdt.errors import UsageError, quoted
 
 if TYPE_CHECKING:
     from mpdt.data.remote.place import Place
@@ -51,8 +51,8 @@ def commit(
         except (RepositoryNotFoundError, FileNotFoundError):
             raise UsageError("no such repository, or none that you may write to",
                              where=place.address,
-                             hint=f"hf repo create OWNER/NAME --repo-type {kind}; --private if "
-                                  "it is not for all") from None  # fmt: skip
+                             hint=f"hf repo create OWNER/NAME --repo-type {quoted(kind)}; "
+                                  "--private if it is not for all") from None  # fmt: skip
     return sum(path.stat().st_size for path in files.values())
 
 

@@ -39,7 +39,7 @@ def read_book(path: Path, kind: type[Entry], format: str, what: str) -> tuple[En
     Args:
         what: the file is one of, for the message.
 
-    Raises: DataError for anything else than such a file; StorageError.
+    Raises: DataError for another content; FormatError for what is no file; StorageError.
     """
     try:
         book = msgspec.json.decode(read_plain(path), type=_Book[kind])  # type: ignore[valid-type]

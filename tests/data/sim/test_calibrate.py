@@ -24,7 +24,7 @@ from mpdt.data.sim.calibration import (
 )
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.spec.tasks import get_family
-from mpdt.errors import DataError, SpecError, StorageError
+from mpdt.errors import DataError, FormatError, SpecError, StorageError
 
 
 def test_the_coarse_curve_leaves_out_its_known_ends():
@@ -258,5 +258,5 @@ def test_a_target_that_cannot_be_written_is_refused_before_measuring(monkeypatch
 
 def test_a_folder_in_place_of_the_local_file_is_refused(tmp_path):
     (tmp_path / LOCAL_FILE).mkdir()
-    with pytest.raises(StorageError, match="cannot be read"):
+    with pytest.raises(FormatError, match="a folder, not a file"):
         load_calibrations(tmp_path)
