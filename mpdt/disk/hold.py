@@ -89,16 +89,14 @@ class Hold:
 
 @contextmanager
 def holding(
-    target: Path, *, amends: bool = False, wait_s: float = WAIT_S,
-    busy: str = "another process writes it", kept: str = "",
-) -> Iterator[Hold]:  # fmt: skip
+    target: Path, *, amends: bool = False, wait_s: float = WAIT_S, kept: str = ""
+) -> Iterator[Hold]:
     """Keep every other process of ours from writing `target`. In one thread it may be nested.
 
     Args:
         amends: what another process writes while this one waits is to be read, not replaced:
             `found` is what is there once the target is held. Otherwise that is an error.
-        busy: what to say if another one holds it.
-        kept: what ending that process does not lose.
+        kept: what ending the process that holds it does not lose.
     Raises: BusyError naming the process that holds it, or if another process wrote `target`
         while this one waited; StorageError where the disk refuses.
     """
@@ -116,7 +114,7 @@ def holding(
         if cover is None:
             lock = path.with_name(f".{path.name}.lock")
             me = Holder.me()
-            handle = _take(lock, path, me, time.monotonic() + wait_s, busy, kept)
+            handle, waited_for = _take(lock, path, me, time.monotonic() + wait_s, kept)
     if cover is not None and cover.path == path:
         yield cover
         return
@@ -128,7 +126,7 @@ def holding(
         if amends:
             hold.found = now
         elif now != found:
-            raise written_meanwhile(target)
+            raise written_meanwhile(target, waited_for if cover is None else None)
         yield hold
     finally:
         holds.pop(path, None)
@@ -139,8 +137,9 @@ def holding(
             os.close(handle)
 
 
-def written_meanwhile(target: Path) -> BusyError:
+def written_meanwhile(target: Path, by: Holder | None = None) -> BusyError:
     return BusyError("another process wrote it meanwhile", where=str(target),
+                     found=str(by) if by else "",
                      hint="what it wrote is there, untouched; look at it, then choose another "
                           "name, or give the same command again")  # fmt: skip
 
@@ -155,22 +154,23 @@ def real_path(target: Path) -> Path:
 
 
 def _take(
-    lock: Path, target: Path, me: Holder, deadline: float, busy: str, kept: str
-) -> int:  # fmt: skip
-    """The open lock file, once it is this process's."""
-    began = time.monotonic()
+    lock: Path, target: Path, me: Holder, deadline: float, kept: str
+) -> tuple[int, Holder | None]:
+    """The open lock file, once it is this process's, and who had it before."""
+    began, before = time.monotonic(), None
     while True:
         try:
             flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
             handle = os.open(lock, flags, 0o666)
         except FileExistsError:
             is_free, other = _look_at(lock, target)
+            before = other or before
             if is_free:
                 continue
             now = time.monotonic()
             # Whoever has just made the file takes a moment to say who it is.
             if now >= deadline and (other is not None or now >= began + _INTRODUCTION_S):
-                raise _busy(lock, target, other, busy, kept) from None
+                raise _busy(lock, target, other, kept) from None
             time.sleep(_POLL_S)
             continue
         # Before it was locked, it looked like one that was left behind, and may be gone.
@@ -183,7 +183,7 @@ def _take(
             lock.unlink(missing_ok=True)
             os.close(handle)
             raise
-        return handle
+        return handle, before
 
 
 def _look_at(lock: Path, target: Path) -> tuple[bool, Holder | None]:
@@ -278,13 +278,13 @@ def _is_at(handle: int, path: Path) -> bool:
         return False
 
 
-def _busy(lock: Path, target: Path, other: Holder | None, busy: str, kept: str) -> BusyError:
+def _busy(lock: Path, target: Path, other: Holder | None, kept: str) -> BusyError:
     who = str(other) if other else "a process that does not say who it is"
     end = f", or end it with `kill {quoted(other.pid)}`" if other and other.is_here else ""
     hint = f"wait for it{end}" + (f"; {kept}" if kept else "")
     if other is None or not other.is_here:
         hint += f"; if it is gone, delete {lock}"
-    return BusyError(busy, where=str(target), found=who, hint=hint)
+    return BusyError("another process writes it", where=str(target), found=who, hint=hint)
 
 
 def _in_the_way(lock: Path, found: str) -> StorageError:

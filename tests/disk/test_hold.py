@@ -150,8 +150,9 @@ def test_what_came_while_waiting_is_not_replaced_unless_it_is_amended(tmp_path, 
             with holding(target, amends=True) as held:
                 assert held.found == Seen.at(target)
         else:
-            with pytest.raises(BusyError, match="meanwhile"), holding(target):
+            with pytest.raises(BusyError, match="meanwhile") as caught, holding(target):
                 pass
+            assert caught.value.found.startswith(f"process {other.pid} on")
         assert target.read_text() == "the other's"
 
 
