@@ -20,11 +20,10 @@ from __future__ import annotations
 
 import logging
 import os
-import shlex
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -33,12 +32,15 @@ import tyro
 from mpdt.data.remote.address import hide
 from mpdt.errors import MpdtError, visible
 from mpdt.pipe import reader_may_leave
+from mpdt.train.acting import judge, judge_others, roll_out, until_stopped
 from mpdt.train.options import (
     COMMANDS,
-    Adapt,
+    EVALUATE_POLICY,
+    PROG,
     Bundle,
     Command,
     Evaluate,
+    EvaluatePolicy,
     Methods,
     Pull,
     Push,
@@ -50,11 +52,8 @@ from mpdt.train.options import (
 )
 
 if TYPE_CHECKING:
-    from mpdt.train.evaluate.score import Block
     from mpdt.train.run.config import TrainConfig
     from mpdt.train.run.stop import StopRequest
-
-PROG = "mpdt-train"
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -82,12 +81,14 @@ def _answer(verb: str, arguments: list[str]) -> int:
     verbose = bool({"-v", "--verbose"} & set(arguments))
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, format="%(message)s")
     try:
+        if verb == "evaluate" and any(word.partition("=")[0] == "--policy" for word in arguments):
+            verb = EVALUATE_POLICY
         if verb not in COMMANDS:
             from mpdt.errors import unknown_name
 
             raise unknown_name("command", verb, COMMANDS, where=PROG)
         command, rest = tyro.cli(
-            COMMANDS[verb], prog=PROG if verb == "run" else f"{PROG} {verb}",
+            COMMANDS[verb], prog=PROG if verb == "run" else f"{PROG} {verb.split()[0]}",
             args=arguments, return_unknown_args=True,
         )  # fmt: skip
         return execute(command, rest)
@@ -102,8 +103,10 @@ def execute(command: Command, rest: list[str]) -> int:
     """Run one parsed command; `rest` are settings, which not every command takes."""
     if isinstance(command, Run):
         return _run(command, rest)
+    if isinstance(command, EvaluatePolicy):
+        return judge_others(command, rest)
     if isinstance(command, Evaluate):
-        return _judge(command, rest)
+        return judge(command, rest)
     if rest:
         from mpdt.errors import UsageError
 
@@ -117,7 +120,7 @@ def execute(command: Command, rest: list[str]) -> int:
     if isinstance(command, Bundle):
         return _bundle(command)
     if isinstance(command, Rollout):
-        return _roll_out(command)
+        return roll_out(command)
     if isinstance(command, Push | Pull):
         return _travel(command)
     if isinstance(command, Methods):
@@ -148,56 +151,7 @@ def _run(command: Run, rest: list[str]) -> int:
             print_results(results, command.json)
         return 0
 
-    return _until_stopped(body)
-
-
-def _judge(command: Evaluate, rest: list[str]) -> int:
-    import msgspec
-
-    from mpdt.train.run.folder import RunFolder, stored_settings
-    from mpdt.train.run.pipeline import run_pipeline
-    from mpdt.train.run.prepare import prepare
-    from mpdt.train.run.progress import Progress
-    from mpdt.train.run.show import print_results
-
-    stored = stored_settings(command.folder)
-    blocks: tuple[Block, ...] = ("test",) if isinstance(command, Adapt) else ("train", "test")
-    evaluation = msgspec.structs.replace(stored.evaluation, blocks=blocks)
-    config = tyro.cli(
-        type(stored), prog=PROG, args=rest,
-        default=msgspec.structs.replace(stored, evaluation=evaluation),
-    )  # fmt: skip
-
-    def body(stop: StopRequest) -> int:
-        results = run_pipeline(
-            prepare(config, command.data), RunFolder(command.folder),
-            Progress(command.quiet, stop), "judge",
-        )  # fmt: skip
-        print_results(results, command.json)
-        return 0
-
-    return _until_stopped(body)
-
-
-def _roll_out(command: Rollout) -> int:
-    from mpdt.train.rollout.roll_out import bundle_folder, plan_roll_outs, roll_out
-    from mpdt.train.rollout.show import print_rolled_out
-    from mpdt.train.run.progress import Progress
-
-    asked = plan_roll_outs(
-        bundle_folder(command.policy), command.tasks, command.start, command.episodes,
-        command.noise, command.seed,
-    )  # fmt: skip
-
-    def body(stop: StopRequest) -> int:
-        progress = Progress(command.quiet, stop)
-        done = roll_out(asked, command.output, command.workers, command.restart, progress)
-        if not done.is_new:
-            progress.say(f"this is done: {command.output} (again: --restart)")
-        print_rolled_out(done, command.json)
-        return 0
-
-    return _until_stopped(body)
+    return until_stopped(body)
 
 
 def _study(command: Study) -> int:
@@ -221,7 +175,7 @@ def _study(command: Study) -> int:
             states.append(outcome.state)
         return 1 if "failed" in states else 0
 
-    return _until_stopped(body)
+    return until_stopped(body)
 
 
 def _report(command: Report) -> int:
@@ -284,20 +238,6 @@ def _travel(command: Push | Pull) -> int:
         text = pull_bundle(url, command.output, say)
     sys.stdout.write(text + "\n")
     return 0
-
-
-def _until_stopped(body: Callable[[StopRequest], int]) -> int:
-    """The body's exit code, or that of the signal that stopped it, with how to go on."""
-    from mpdt.train.run.stop import Stopped, StopRequest
-
-    try:
-        with StopRequest().listening() as stop:
-            return body(stop)
-    except Stopped as stopped:
-        sys.stderr.write(f"\n{stopped}; saved. Continue with the same command:\n")
-        given = [word for word in sys.argv[1:] if word != "--restart"]
-        sys.stderr.write(visible(f"  {PROG} {shlex.join(given)}") + "\n")
-        return stopped.exit_code
 
 
 def parse_settings(command: Run, rest: Sequence[str]) -> TrainConfig:

@@ -8,6 +8,10 @@ from typing import Annotated
 
 import tyro
 
+PROG = "mpdt-train"
+EVALUATE_POLICY = "evaluate --policy"
+"""A command of its own: it takes no folder, which words behind an option would be taken for."""
+
 
 @dataclass(frozen=True)
 class Run:
@@ -77,13 +81,16 @@ class Methods:
 class Evaluate:
     """Judge a stored run again without training, with other settings of judging.
 
-    Every setting of --adapt, --few-shot, --statistics and --evaluation can be given.
+    Every setting of --adapt, --few-shot, --statistics and --evaluation can be given. Somebody
+    else's policy is judged by --policy in place of the folder.
     """
 
     folder: tyro.conf.Positional[Path]
     """The run's folder, such as runs/ml10-base."""
     data: str
     """FILE or FILE:slice it was trained on."""
+    keep: Path | None = None
+    """Keep the episodes as data: with FILE.h5 in FILE-own.h5, FILE-cross.h5, ..."""
     json: bool = False
     """Print results.json instead of tables."""
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
@@ -98,6 +105,28 @@ class Adapt(Evaluate):
 
     For example --adapt.starts infer, or --few-shot.qualities expert mixed.
     """
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluatePolicy:
+    """Judge a function or a bundle on the tasks of a file, beside the rows of every table.
+
+    Every setting of --evaluation can be given.
+    """
+
+    policy: str
+    """module:function to be judged, act(observations, rewards, starts, task) -> actions, imported
+    from here or what is installed; or a bundle's folder or address."""
+    data: str
+    """FILE whose tasks, options and references count."""
+    keep: Path | None = None
+    """Keep the episodes as data."""
+    json: bool = False
+    """Print results instead of tables."""
+    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
+    """No progress on stderr."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
 
 
 @dataclass(frozen=True)
@@ -236,9 +265,21 @@ class Pull:
     """Show tracebacks."""
 
 
-Command = Run | Methods | Settings | Evaluate | Study | Report | Bundle | Rollout | Push | Pull
+Command = (
+    Run
+    | Methods
+    | Settings
+    | Evaluate
+    | EvaluatePolicy
+    | Study
+    | Report
+    | Bundle
+    | Rollout
+    | Push
+    | Pull
+)
 COMMANDS: dict[str, type[Command]] = {
     "run": Run, "methods": Methods, "settings": Settings, "adapt": Adapt, "evaluate": Evaluate,
-    "study": Study, "report": Report, "bundle": Bundle, "rollout": Rollout, "push": Push,
-    "pull": Pull,
+    EVALUATE_POLICY: EvaluatePolicy, "study": Study, "report": Report, "bundle": Bundle,
+    "rollout": Rollout, "push": Push, "pull": Pull,
 }  # fmt: skip

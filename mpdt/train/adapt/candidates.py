@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mpdt.data.sim.actors import Actor
 from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
 from mpdt.data.store.reader import open_tta_rewards
 from mpdt.errors import UsageError
@@ -33,7 +32,7 @@ from mpdt.train.adapt.align import (
 from mpdt.train.adapt.few_shot import FewShotSettings, choose_steps, tune
 from mpdt.train.adapt.infer import Explanation, explain
 from mpdt.train.adapt.statistics import LayerStatistics, StatisticsSettings, source_statistics
-from mpdt.train.evaluate.controller import PerTaskController, PromptController
+from mpdt.train.evaluate.controller import PerTaskController, PromptController, TrainedActor
 from mpdt.train.evaluate.score import Reads
 from mpdt.train.fit.data import Ids, sample_demonstrations
 from mpdt.train.fit.log import MetricsLog
@@ -54,7 +53,7 @@ class Candidate:
 
     name: str
     label: str
-    controller: Actor
+    controller: TrainedActor
     reads: Reads
     prompts: Tensor | None
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -12,8 +14,18 @@ from torch import Tensor
 
 from mpdt.data.sim.actors import Actions, Actor, Observations, Rewards, Rows
 from mpdt.model.closed_loop import ClosedLoop
+from mpdt.model.fingerprint import fingerprint
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.returns import ReturnTable
+
+
+class TrainedActor(Actor, Protocol):
+    """An actor that can say who it is."""
+
+    @property
+    def fingerprint(self) -> bytes:
+        """32 bytes that change with anything that its actions depend on."""
+        ...
 
 
 class PromptController:
@@ -38,6 +50,11 @@ class PromptController:
         self._window, self._low, self._high = window, low, high
         self._loop: ClosedLoop | None = None
 
+    @property
+    def fingerprint(self) -> bytes:
+        """32 bytes that change with anything that the actions depend on."""
+        return fingerprint(self._policy, self._prompts, self._returns, self._window)
+
     def begin(self, rows: Rows) -> None:
         self._loop = ClosedLoop(
             self._policy, self._prompts, torch.from_numpy(rows.tasks), self._window,
@@ -53,9 +70,14 @@ class PromptController:
 class PerTaskController:
     """An actor of its own for every task; each knows one task, its number 0."""
 
-    def __init__(self, actors: Sequence[Actor]) -> None:
+    def __init__(self, actors: Sequence[PromptController]) -> None:
         self._actors = actors
         self._rows: list[tuple[Actor, NDArray[np.int64]]] = []
+
+    @property
+    def fingerprint(self) -> bytes:
+        """32 bytes that change with anything that any task's actions depend on."""
+        return hashlib.sha256(b"".join(actor.fingerprint for actor in self._actors)).digest()
 
     def begin(self, rows: Rows) -> None:
         self._rows = []

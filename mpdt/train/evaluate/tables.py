@@ -18,16 +18,21 @@ NORMALISED = "normalised = (return - random) / (expert - random), mean over task
 """What stands below the tables of a page."""
 
 
-def build_tables(scores: Sequence[Score]) -> list[Table]:
-    """Per block: tasks x methods, then the mean over tasks. Order of methods: as given."""
+def build_tables(scores: Sequence[Score], prompts: bool = True) -> list[Table]:
+    """Per block: tasks x methods, then the mean over tasks. Order of methods: as given.
+
+    Args:
+        prompts: the methods are ours, and titles say behind which prompts they act.
+    """
     tables = []
     for block, kind in BLOCKS:
         chosen = [score for score in scores if score.block == block]
         if not chosen:
             continue
-        title = "Training tasks (each with its own prompt)"
-        if block == "test":
-            title = test_title(scores)
+        title = f"{kind.capitalize()} tasks"
+        if prompts:
+            own = "Training tasks (each with its own prompt)"
+            title = test_title(scores) if block == "test" else own
         methods = list(dict.fromkeys(score.method for score in chosen))
         tasks = list(dict.fromkeys(score.task for score in chosen))
         has_mean = tasks[-1] == MEAN

@@ -78,6 +78,12 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
                             hint="--adapt.starts infer")  # fmt: skip
 
 
+class JudgingSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be set where somebody else's policy is judged."""
+
+    evaluation: EvaluationSettings = EvaluationSettings()
+
+
 def to_plain(config: TrainConfig) -> dict[str, Any]:
     """JSON values; what config.json and results.json store."""
     plain: dict[str, Any] = msgspec.to_builtins(config)

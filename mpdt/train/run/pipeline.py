@@ -12,6 +12,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -34,6 +35,7 @@ from mpdt.train.run.build import build
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder, claimed, inspect
 from mpdt.train.run.judge import Judge
+from mpdt.train.run.keep import Keeper
 from mpdt.train.run.older import as_stored
 from mpdt.train.run.prepare import Prepared
 from mpdt.train.run.progress import Progress
@@ -51,9 +53,12 @@ def run_pipeline(
     progress: Progress,
     how: How = "continue",
     time_limit_s: float = 0.0,
+    keep: Path | None = None,
 ) -> dict[str, Any]:
     """Do, continue or look up one run; returns the content of its results.json.
 
+    Args:
+        keep: where the episodes of its judgement go as data, see `keep.py`; judges in any case.
     Raises: Stopped after a signal, with everything saved that can be; MpdtError for what the
         user can mend, before anything is written or trained where that can be known.
     """
@@ -73,7 +78,11 @@ def run_pipeline(
         # Every process keeps checkpoints of its own; what is judged and kept is the first one's.
         folder = RunFolder(folder.path.with_name(f"{folder.path.name}.rank-{group.rank}"))
     progress.say(_describe(prepared.material))
-    done = None if restart else find_results(folder.path, identity.hashes)
+    keeper = None
+    if keep is not None:
+        facts = {"run": identity.hashes["training"]}
+        keeper = Keeper(keep, folder.path.name, facts, progress.say)
+    done = None if restart or keeper else find_results(folder.path, identity.hashes)
     # Only the first process has results; none may go on while another is gone.
     if group.any([done is not None])[0]:
         group.leave()
@@ -103,7 +112,7 @@ def run_pipeline(
             trainer.train()
             group.leave()
             return {}
-        return _train_and_judge(trainer)
+        return _train_and_judge(trainer, keeper)
 
 
 @contextmanager
@@ -126,7 +135,7 @@ def _proving(prepared: Prepared, progress: Progress) -> Iterator[BackgroundProof
         progress.also = None
 
 
-def _train_and_judge(trainer: Trainer) -> dict[str, Any]:
+def _train_and_judge(trainer: Trainer, keeper: Keeper | None = None) -> dict[str, Any]:
     """The content of results.json, written."""
     prepared, folder, progress = trainer.learner.prepared, trainer.folder, trainer.progress
     began_s, name = time.monotonic(), folder.path.name
@@ -135,7 +144,7 @@ def _train_and_judge(trainer: Trainer) -> dict[str, Any]:
     trainer.group.leave()
     if not trained.complete:
         progress.say(f"training ended by --time-limit-s: {_updates(trained)}")
-    judge = Judge(trained, prepared.config, progress, folder.log)
+    judge = Judge(trained, prepared.config, progress, folder.log, keeper)
     scores = judge.scores()
     if trainer.proof is not None:
         trainer.proof.finish()  # also where nothing was left to train

@@ -31,7 +31,7 @@ def print_results(results: Mapping[str, Any], as_json: bool) -> None:
     console = Console(
         file=sys.stdout, width=None if sys.stdout.isatty() else WIDTH_WITHOUT_TERMINAL
     )
-    for table in rich_tables(build_tables(scores_in(results))):
+    for table in rich_tables(build_tables(scores_in(results), "policy" not in results)):
         console.print(table)
 
 

@@ -23,7 +23,8 @@ from mpdt.train.evaluate.rollout import Evaluation, evaluate
 from mpdt.train.evaluate.score import MEAN
 from mpdt.train.fit.data import Material, load_material
 from mpdt.train.fit.trained import Trained
-from mpdt.train.run import judge
+from mpdt.train.run import bench
+from mpdt.train.run.bench import Bench
 from mpdt.train.run.judge import Judge
 from mpdt.train.run.presets import smoke
 from mpdt.train.run.progress import Progress
@@ -47,7 +48,8 @@ def make_judge(tiny_file, horizon=0, returns="constant"):
 def test_trivial_policies_are_run_on_the_evaluation_seeds_at_any_horizon(tiny_file):
     """The simulator, 4 steps: equal to running both by hand; nothing is taken from the file."""
     subject = make_judge(tiny_file, horizon=4)
-    scores = subject._references("train", (0, 1), None)
+    subject.bench.settings = msgspec.structs.replace(subject.bench.settings, constants=False)
+    scores = subject.bench.references("train", (0, 1))
     found = {(s.method, s.task): s for s in scores}
     family = subject.trained.material.family
     by_hand = {
@@ -83,8 +85,8 @@ class Played:
 def played(monkeypatch):
     """`best constant` is zero action unless a test says otherwise."""
     fake = Played()
-    monkeypatch.setattr(judge, "evaluate", fake)
-    monkeypatch.setattr(Judge, "_constant_action", lambda self: np.zeros(6, np.float32))
+    monkeypatch.setattr(bench, "evaluate", fake)
+    monkeypatch.setattr(Bench, "_constant_action", lambda self: np.zeros(6, np.float32))
     monkeypatch.setattr(Candidates, "controller", lambda self, *_: SimpleNamespace())
     monkeypatch.setattr(Candidates, "_statistics", lambda self: None)
     monkeypatch.setattr(Candidates, "_adapt", lambda self, *_: None)
@@ -125,13 +127,13 @@ def test_other_test_tasks_are_run_by_themselves(judged, played, monkeypatch):
 
 def test_the_constant_action_is_the_one_in_the_file(tiny_file):
     subject = make_judge(tiny_file)
-    assert subject._constant_action().tolist() == [0, 1, 0, 0, 0, 0]
+    assert subject.bench._constant_action().tolist() == [0, 1, 0, 0, 0, 0]
     material = subject.trained.material
     tasks = material.dataset.tasks
     unknown = replace(tasks, references=tuple(References(r.by_name) for r in tasks.references))
     bare = replace(material, dataset=replace(material.dataset, tasks=unknown))
-    subject.trained = replace(subject.trained, material=bare)
-    assert subject._constant_action() is None
+    subject.bench.material = bare
+    assert subject.bench._constant_action() is None
 
 
 def test_the_expert_is_the_reference_in_the_file(judged):

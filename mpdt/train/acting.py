@@ -1,0 +1,102 @@
+"""The verbs of mpdt-train that let a policy act: evaluate, adapt, rollout; and how any ends early.
+
+torch is imported in the bodies, so `--help` is quick.
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import tyro
+
+from mpdt.data.remote.address import revealed
+from mpdt.errors import visible
+from mpdt.train.options import PROG, Adapt, Evaluate, EvaluatePolicy, Rollout
+
+if TYPE_CHECKING:
+    from mpdt.train.evaluate.score import Block
+    from mpdt.train.run.stop import StopRequest
+
+
+def until_stopped(body: Callable[[StopRequest], int]) -> int:
+    """The body's exit code, or that of the signal that stopped it, with how to go on."""
+    from mpdt.train.run.stop import Stopped, StopRequest
+
+    try:
+        with StopRequest().listening() as stop:
+            return body(stop)
+    except Stopped as stopped:
+        sys.stderr.write(f"\n{stopped}; saved. Continue with the same command:\n")
+        given = [word for word in sys.argv[1:] if word != "--restart"]
+        sys.stderr.write(visible(f"  {PROG} {shlex.join(given)}") + "\n")
+        return stopped.exit_code
+
+
+def judge(command: Evaluate, rest: list[str]) -> int:
+    import msgspec
+
+    from mpdt.train.run.folder import RunFolder, stored_settings
+    from mpdt.train.run.pipeline import run_pipeline
+    from mpdt.train.run.prepare import prepare
+    from mpdt.train.run.progress import Progress
+    from mpdt.train.run.show import print_results
+
+    stored = stored_settings(command.folder)
+    blocks: tuple[Block, ...] = ("test",) if isinstance(command, Adapt) else ("train", "test")
+    evaluation = msgspec.structs.replace(stored.evaluation, blocks=blocks)
+    config = tyro.cli(
+        type(stored), prog=PROG, args=rest,
+        default=msgspec.structs.replace(stored, evaluation=evaluation),
+    )  # fmt: skip
+
+    def body(stop: StopRequest) -> int:
+        results = run_pipeline(
+            prepare(config, command.data), RunFolder(command.folder),
+            Progress(command.quiet, stop), "judge", keep=command.keep,
+        )  # fmt: skip
+        print_results(results, command.json)
+        return 0
+
+    return until_stopped(body)
+
+
+def judge_others(command: EvaluatePolicy, rest: list[str]) -> int:
+    from mpdt.train.run.config import JudgingSettings
+    from mpdt.train.run.judge_outside import judge_outside
+    from mpdt.train.run.progress import Progress
+    from mpdt.train.run.show import print_results
+
+    settings = tyro.cli(JudgingSettings, prog=f"{PROG} evaluate", args=rest)
+    policy = revealed(command.policy)
+
+    def body(stop: StopRequest) -> int:
+        progress = Progress(command.quiet, stop)
+        results = judge_outside(policy, command.data, settings.evaluation, progress, command.keep)
+        print_results(results, command.json)
+        return 0
+
+    return until_stopped(body)
+
+
+def roll_out(command: Rollout) -> int:
+    from mpdt.train.rollout import roll_out as making
+    from mpdt.train.rollout.show import print_rolled_out
+    from mpdt.train.run.progress import Progress
+
+    asked = making.plan_roll_outs(
+        making.bundle_folder(revealed(command.policy)), command.tasks, command.start,
+        command.episodes, command.noise, command.seed,
+    )  # fmt: skip
+
+    def body(stop: StopRequest) -> int:
+        progress = Progress(command.quiet, stop)
+        done = making.roll_out(asked, command.output, command.workers, command.restart, progress)
+        if not done.is_new:
+            progress.say(f"this is done: {command.output} (again: --restart)")
+        print_rolled_out(done, command.json)
+        return 0
+
+    return until_stopped(body)

@@ -1,0 +1,129 @@
+"""`--keep FILE.h5`: the episodes of an evaluation as data files, one for each row of the table.
+
+    FILE.h5 -> FILE-own.h5, FILE-cross.h5, ...        FILE.h5 itself for a single policy
+
+One file cannot hold two rows: they begin in the same states, which are one place in a file.
+Seeds are the evaluation's, so `verify` replays them; quality is `policy`, as in roll-outs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mpdt.data.collect.origin import Acted, Origin, header_of_policy
+from mpdt.data.collect.rollouts import NAME, level_on
+from mpdt.data.slices.standard import standard_additions
+from mpdt.data.store.layout import checked_name
+from mpdt.data.store.reader import open_dataset
+from mpdt.data.store.sources import EpisodeSource, FileHeader
+from mpdt.data.store.writer import write_file
+from mpdt.disk import check_replaceable
+from mpdt.errors import DataError, FormatError, StorageError, quoted
+from mpdt.train.evaluate.rollout import Kept
+from mpdt.train.evaluate.score import Reads
+from mpdt.train.run.bench import Bench
+
+VERB = "evaluate"
+
+
+@dataclass
+class Keeper:
+    """Where episodes go, and what is said of who acts.
+
+    Args:
+        target: the name that was asked for.
+        actor: the run or policy by name.
+        facts: of it, as JSON values.
+        say: told of each file.
+        single: one policy is judged, in one file.
+    """
+
+    target: Path
+    actor: str
+    facts: Mapping[str, Any]
+    say: Callable[[str], None]
+    single: bool = False
+
+    def __post_init__(self) -> None:
+        folder = self.target.parent
+        if not folder.is_dir():
+            raise StorageError("the folder does not exist", where=str(folder),
+                               hint=f"mkdir -p {quoted(folder)}")  # fmt: skip
+
+    def row(
+        self, bench: Bench, name: str, method: str, fingerprint: bytes, reads: Reads | None = None
+    ) -> KeptRow:
+        """Where the episodes of one row will go; asked before they are run.
+
+        Raises: DataError if something else is there; StorageError.
+        """
+        path = self.target
+        if not self.single:
+            path = path.with_name(f"{path.stem}-{checked_name(name)}{path.suffix}")
+        facts = {**self.facts, "method": method, "start": name, "reads": reads or "nothing"}
+        label = self.actor if self.single else f"{self.actor} {name}"
+        row = KeptRow(path, bench, Acted(label, fingerprint, facts), Kept(fingerprint), self.say)
+        row.check()
+        return row
+
+
+@dataclass
+class KeptRow:
+    """One file to be."""
+
+    path: Path
+    bench: Bench
+    acted: Acted
+    kept: Kept
+    say: Callable[[str], None]
+    origin: Origin = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.origin = Origin.of(self.bench.material.dataset)
+
+    def check(self) -> None:
+        """Raises: DataError unless nothing is there, or what the same policy left before."""
+        check_replaceable(self.path)
+        if not self.path.exists():
+            return
+        try:
+            lineage = open_dataset(self.path).lineage
+            last = lineage[-1] if lineage else {}
+            if (last.get("verb"), last.get("from")) == (VERB, [self.origin.content_hash]) and (
+                last["rule"]["fingerprint"] == self.acted.fingerprint.hex()
+            ):
+                return
+            found = f"made by {last.get('verb', 'collect or import')}"
+        except FormatError as error:
+            found = error.what
+        raise DataError("something else is there", where=str(self.path), found=found,
+                        hint="choose another --keep, or delete it first")  # fmt: skip
+
+    def write(self, rows: Sequence[int]) -> None:
+        """The file of the episodes that were run. Raises: as `write_file`."""
+        episodes = sorted(self.kept.episodes, key=lambda e: (e.task, e.seed_key[4]))
+        write_file(
+            self.path, self._header(rows),
+            EpisodeSource(episodes, len(episodes), sum(e.length for e in episodes)),
+            finish=standard_additions,
+        )  # fmt: skip
+        self.say(f"kept {len(episodes):,} episodes: {self.path}")
+
+    def _header(self, rows: Sequence[int]) -> FileHeader:
+        bench, tasks = self.bench, [self.origin.tasks[row] for row in sorted(rows)]
+        levels = {}
+        for task in tasks:
+            own = [e.episode_return for e in self.kept.episodes if e.task == task.index]
+            same = bench.horizon == bench.material.horizon
+            levels[task.index] = level_on(task, float(np.mean(own))) if same else math.nan
+        counts = [sum(e.task == task.index for e in self.kept.episodes) for task in tasks]
+        return header_of_policy(
+            self.origin, self.acted, VERB, tasks, levels, seed=bench.settings.seed,
+            horizon=bench.horizon, episodes={NAME: max(counts)},
+        )  # fmt: skip

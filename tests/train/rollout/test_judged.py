@@ -1,0 +1,121 @@
+"""A run's episodes kept beside its table, and its bundle judged as somebody else's policy."""
+
+from __future__ import annotations
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+from makers import make_episode, make_header, source_of
+
+import mpdt
+from mpdt.data.slices.standard import standard_additions
+from mpdt.data.spec.tasks import get_family
+from mpdt.data.store.reader import open_dataset
+from mpdt.data.store.tables import TaskRow
+from mpdt.data.store.writer import write_file
+from mpdt.data.verify.finding import Outcome
+from mpdt.data.verify.verify import verify
+from mpdt.errors import DataError, UsageError
+from mpdt.seeding import generator_of
+from mpdt.train.bundle.format import FamilyFacts
+from mpdt.train.bundle.read import read_config
+from mpdt.train.run.judge_outside import _material, check_fits
+
+from .conftest import run
+
+
+def told(results, block, method):
+    return {
+        s["task"]: s["mean"]
+        for s in results["scores"]
+        if (s["block"], s["method"]) == (block, method)
+    }
+
+
+def returns(path):
+    kept = open_dataset(path)
+    return {
+        name: kept.episodes.returns[kept.episodes.task == row].mean()
+        for row, name in enumerate(kept.tasks.names)
+    }
+
+
+def test_a_run_keeps_the_episodes_of_each_row(trained, tmp_path, capsys):
+    data = trained.parent.parent / "tiny.h5"
+    before = json.loads((trained / "results.json").read_text())["scores"]
+    words = ["evaluate", trained, "--data", data, "--keep", tmp_path / "e.h5", "-q", "--json"]
+    assert run(*words) == 0
+    results = json.loads(capsys.readouterr().out)
+    assert results["scores"] == before, "keeping changes no number"
+    found = {path.stem: returns(path) for path in sorted(tmp_path.iterdir())}
+    assert list(found) == ["e-cross", "e-none", "e-own"]
+    methods = {
+        "e-own": ("train", "MPDT"),
+        "e-cross": ("test", "MPDT from cross, adapted"),
+        "e-none": ("test", "MPDT P_c o mean P_k, not adapted"),
+    }
+    for stem, row in methods.items():
+        table = told(results, *row)
+        assert found[stem] == {task: table[task] for task in ("forward", "backward")}
+        assert verify(tmp_path / f"{stem}.h5", replay="all").count(Outcome.PASS) == 11
+    own = open_dataset(tmp_path / "e-own.h5")
+    assert own.policies.hashes[0].tobytes() == mpdt.load_policy(trained / "policy").fingerprint
+
+
+def test_a_bundle_is_judged_to_the_same_numbers(trained, tmp_path, capsys):
+    data = trained.parent.parent / "tiny.h5"
+    ours = json.loads((trained / "results.json").read_text())
+    words = ["evaluate", "--policy", trained, "--data", data, "--keep", tmp_path / "b.h5", "--json",
+             "-q", "--evaluation.horizon", 3, "--evaluation.episodes", 2]  # fmt: skip
+    assert run(*words) == 0
+    theirs = json.loads(capsys.readouterr().out)
+    assert told(theirs, "train", "r own") == told(ours, "train", "MPDT")
+    assert told(theirs, "test", "r cross") == told(ours, "test", "MPDT from cross, adapted")
+    for block in ("train", "test"):
+        assert told(theirs, block, "random") == told(ours, block, "random")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["b-cross.h5", "b-none.h5", "b-own.h5"]
+
+
+def test_statistics_are_compared_before_anybody_acts(trained, tiny_file):
+    config, material = read_config(trained / "policy"), _material(str(tiny_file))
+    assert check_fits(config, material) == [], "the very data"
+    other = msgspec.structs.replace(config.data, content_hash="0" * 64)
+    config = msgspec.structs.replace(config, data=other)
+    (line,) = check_fits(config, material)
+    assert line.startswith("statistics of the observations: means within ")
+    away = list(config.statistics.mean)
+    away[3] += 11 * config.statistics.std[3]
+    far = msgspec.structs.replace(config.statistics, mean=tuple(away))
+    with pytest.raises(DataError, match=r"never saw: fthigh|never saw: bshin"):
+        check_fits(msgspec.structs.replace(config, statistics=far), material)
+    other = FamilyFacts.of(get_family("cheetah_vel"))
+    lines = check_fits(msgspec.structs.replace(config, family=other), material)
+    assert lines[0] == "of another family: cheetah_vel acts in cheetah_dir"
+    ant = FamilyFacts.of(get_family("ant_dir"))
+    with pytest.raises(UsageError, match="cannot act in cheetah_dir: other observation_size"):
+        check_fits(msgspec.structs.replace(config, family=ant), material)
+
+
+def test_another_familys_tasks_are_met_without_prompts_of_their_own(trained, tmp_path, capsys):
+    """The same robot with speeds to reach: the policy has prompts for none of them."""
+    draws = generator_of(0)
+    episodes = [
+        make_episode(
+            3, sizes=(20, 6), task=task,
+            observations=draws.standard_normal((4, 20)).astype(np.float32),
+        )
+        for task in (0, 1)
+    ]  # fmt: skip
+    rows = [TaskRow("v0.075", 0, "train", {}), TaskRow("v0.150", 1, "train", {})]
+    header = make_header(episodes, rows, family="cheetah_vel")
+    other = tmp_path / "vel.h5"
+    write_file(other, header, source_of(episodes), finish=standard_additions)
+    words = ["evaluate", "--policy", trained, "--data", other, "--json",
+             "--evaluation.horizon", 2, "--evaluation.episodes", 2]  # fmt: skip
+    assert run(*words) == 0
+    printed = capsys.readouterr()
+    found = told(json.loads(printed.out), "train", "r none")
+    assert set(found) == {"v0.075", "v0.150", "mean"} and np.isfinite(list(found.values())).all()
+    assert "of another family: cheetah_dir acts in cheetah_vel" in printed.err
