@@ -19,7 +19,7 @@ from mpdt.data.collect.runner import BlockReport
 from mpdt.data.episode import Episode
 from mpdt.data.reference import References
 from mpdt.data.slices.standard import standard_additions
-from mpdt.data.spec.tasks import Task
+from mpdt.data.spec.env import describe_env
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
@@ -83,7 +83,7 @@ def header_of(job: Job) -> FileHeader:
     """What a file made by this job says of itself."""
     plan = job.plan
     spec, family = plan.spec, plan.family
-    packages = provenance.packages()
+    packages, plain = provenance.packages(), msgspec.to_builtins(spec)
     if job.ladder is not None and job.ladder.weights:  # the spec says where they lay
         packages[provenance.WEIGHTS] = job.ladder.weights
     return FileHeader(
@@ -91,24 +91,17 @@ def header_of(job: Job) -> FileHeader:
         name=spec.name,
         version=spec.version,
         license=spec.license,
-        spec=msgspec.to_builtins(spec),
+        spec=plain,
         observation_size=family.observation_size,
         action_size=family.action_size,
         has_success=family.has_success,
         tasks=[
-            TaskRow(task.name, task.index, task.role, _describe_env(plan, task))
+            TaskRow(task.name, task.index, task.role, describe_env(plain, spec.family, task.name))
             for task in plan.tasks
         ],
         policies=job.policies,
         packages=packages,
     )
-
-
-def _describe_env(plan: Plan, task: Task) -> dict[str, Any]:
-    """How anyone builds this task's simulator: a string entry point and JSON arguments."""
-    spec = plan.spec
-    kwargs = {"family": spec.family, "task": task.name, "horizon": spec.horizon, **spec.env}
-    return {"entry_point": "mpdt.data.sim.gym:make", "kwargs": kwargs}
 
 
 def _preset_returns(plan: Plan, name: str) -> dict[int, float]:

@@ -27,6 +27,7 @@ from mpdt.data.episode import (
 )
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.treatment import RawEpisode, Rules, Treated, treat
+from mpdt.data.spec.env import describe_env
 from mpdt.data.spec.tasks import Task
 from mpdt.data.store import provenance
 from mpdt.data.store.licence import combined
@@ -202,10 +203,9 @@ def _header(
     rules: Rules, name: str, tasks: Sequence[Task], tallies: Sequence[_Tally]
 ) -> FileHeader:
     family, nan = rules.family, float("nan")
-    kwargs = {"family": family.name, "horizon": rules.horizon}
 
     def task_row(task: Task) -> TaskRow:
-        env = {"entry_point": "mpdt.data.sim.gym:make", "kwargs": kwargs | {"task": task.name}}
+        env = describe_env({"horizon": rules.horizon}, family.name, task.name)
         return TaskRow(task.name, task.index, task.role, env)
 
     versions = provenance.packages()

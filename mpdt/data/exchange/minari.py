@@ -35,6 +35,7 @@ from mpdt.data.exchange.manifest import KEY, Manifest
 from mpdt.data.exchange.minari_claims import goal_of, safe, said_in, said_of_episode
 from mpdt.data.exchange.selection import Run, Selection
 from mpdt.data.exchange.treatment import RawEpisode, Rules, check_length
+from mpdt.data.spec.env import describe_env
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.sources import EpisodeSource
 from mpdt.errors import DataError, FormatError, UsageError
@@ -130,7 +131,8 @@ def _check_links(path: Path, selection: Selection, run: Run) -> None:
 
 
 def _metadata(selection: Selection, run: Run, name: str) -> dict[str, Any]:
-    data, env = selection.dataset, run.task.env
+    data = selection.dataset
+    env = describe_env(data.spec, data.family, run.task.name)  # ours, whatever the file says
     family = get_family(data.family)
     bound = {"observation": math.inf, "action": family.action_high}
     spaces = {

@@ -70,6 +70,8 @@ class LockEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         runs: task -> run -> `number hash`; see the top of this file.
         policies: task -> name -> first 16 hex digits of the hash of every policy that acted.
         returns: task -> quality -> mean return.
+        tables: task -> first 16 hex digits over its role, references and policies; none in an
+            entry that an older release wrote.
     """
 
     version: str
@@ -81,6 +83,7 @@ class LockEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     returns: dict[str, dict[str, float]]
     packages: dict[str, str]
     platform: dict[str, str]
+    tables: dict[str, str] = {}
 
 
 def decisive_packages(family: str) -> tuple[str, ...]:
@@ -188,6 +191,9 @@ def _entry_problems(name: str, entry: LockEntry) -> list[Problem]:
 def lock_bytes(entries: Mapping[str, LockEntry]) -> bytes:
     """The file for these entries: one byte form, whatever their order."""
     plain = {name: msgspec.to_builtins(entry) for name, entry in entries.items()}
+    for entry in plain.values():
+        if not entry["tables"]:  # the entry of an older release stays what it was
+            del entry["tables"]
     # A round trip, so that tuples are lists and nothing but JSON values is left.
     document = json.loads(canonical_json({"schema": SCHEMA, "datasets": plain}))
     return (_HEADING + dump_yaml(document)).encode("utf-8")

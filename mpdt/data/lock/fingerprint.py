@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
+from dataclasses import astuple
+from typing import Any
 
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.lock.file import Hashes, LockEntry, Size, run_text
+from mpdt.data.spec.entry import canonical_json
 from mpdt.data.store.dataset import Dataset
 from mpdt.disk import sha256
 from mpdt.seeding import HISTORY_STRIDE
@@ -43,6 +47,7 @@ def fingerprint(dataset: Dataset) -> LockEntry:
         returns=_mean_returns(dataset),
         packages=dict(dataset.packages),
         platform=dict(dataset.platform),
+        tables=table_hashes(dataset),
     )
 
 
@@ -95,6 +100,34 @@ def lost_runs(dataset: Dataset, entry: LockEntry) -> list[str]:
             if run_text(digests[: 32 * count]) != text:
                 lost.append(f"{task}/{run}")
     return sorted(lost, key=lambda run: order.index(run) if run in order else len(order))
+
+
+def table_hashes(dataset: Dataset) -> dict[str, str]:
+    """Task -> first 16 hex digits of a hash over what no content hash covers and a reader uses:
+    role, references and policies. A cut-out has those of its source for the tasks it keeps.
+
+    Statistics and slices follow from the episodes, and `verify` computes them anew.
+    """
+    policies: dict[str, list[Any]] = {name: [] for name in dataset.tasks.names}
+    table = dataset.policies
+    columns = (table.rungs, table.levels, table.train_steps, table.mix_rates)
+    for row, task in enumerate(table.tasks.tolist()):
+        numbers = [repr(column[row].item()) for column in columns]
+        policies[dataset.tasks.names[task]].append(
+            [table.hashes[row].tobytes().hex(), table.names[row], *numbers]
+        )
+    found = {}
+    for row, name in enumerate(dataset.tasks.names):
+        references = dataset.tasks.references[row]
+        said = [
+            int(dataset.tasks.roles[row]),
+            {kind: [repr(value) for value in astuple(reference)]
+             for kind, reference in references.by_name.items()},
+            [repr(number) for number in references.constant_action],
+            sorted(policies[name]),
+        ]  # fmt: skip
+        found[name] = hashlib.sha256(canonical_json(said)).hexdigest()[:16]
+    return found
 
 
 def acting_policies(dataset: Dataset) -> dict[str, dict[str, str]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from mpdt.data.spec.env import describe_env
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.layout import ROLE_CODES
 from mpdt.data.store.proof import proven, proven_tta
@@ -54,14 +55,14 @@ def lineage_step(step: Mapping[str, Any], *sources: Dataset) -> dict[str, Any]:
 
 
 def task_rows(dataset: Dataset) -> list[TaskRow]:
-    """The task table as the writer takes it."""
+    """The task table as the writer takes it. How to build the simulator is said anew."""
     tasks = dataset.tasks
     return [
         TaskRow(
             name=tasks.names[row],
             index=tasks.indices[row],
             role=_ROLES[int(tasks.roles[row])],
-            env=tasks.envs[row],
+            env=describe_env(dataset.spec, dataset.family, tasks.names[row]),
             references=tasks.references[row],
         )
         for row in range(len(tasks))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mpdt.data.lock.file import LockEntry
-from mpdt.data.lock.fingerprint import is_as_locked, lost_runs
+from mpdt.data.lock.file import LockEntry, run_text
+from mpdt.data.lock.fingerprint import digests_by_run, is_as_locked, lost_runs
 from mpdt.data.spec.change import changed_keys
 from mpdt.data.spec.entry import spec_hash
+from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.digests import Labels, array_digests
 from mpdt.data.store.origin import damaged_hint
@@ -89,7 +90,7 @@ def _lock_faults(material: Material, path: str, entry: LockEntry | None) -> tupl
         return [Fault(f"the spec differs from {path} ({'; '.join(changes)}), {but}: {hashes}")], ""
     if data.parent:
         if data.parent == entry.hashes.content:
-            return [], f", cut out of what {path} holds"
+            return _cut_faults(data, path, entry), f", cut out of what {path} holds"
         return [Fault(f"cut out of {data.parent[:8]}, but {path} holds "
                       f"{entry.hashes.content[:8]}")], ""  # fmt: skip
     if is_as_locked(data, entry):
@@ -98,6 +99,29 @@ def _lock_faults(material: Material, path: str, entry: LockEntry | None) -> tupl
     where = f" in {', '.join(runs[:3])}" if runs else ""
     return [Fault(f"not what {path} holds: content {data.content_hash[:8]}, locked "
                   f"{entry.hashes.content[:8]}, other episodes{where}")], ""  # fmt: skip
+
+
+def _cut_faults(data: Dataset, path: str, entry: LockEntry) -> list[Fault]:
+    """Whole runs of a cut-out are compared; of a part of one there is no hash."""
+    wrong, partly = [], []
+    for task, runs in digests_by_run(data).items():
+        for run, digests in runs.items():
+            locked = entry.runs.get(task, {}).get(run, "")
+            place = f"{task}/{run}"
+            if run.startswith("tta-") and run not in entry.runs.get(task, {}):
+                continue  # a set that was added later
+            if int(locked.partition(" ")[0] or 0) == len(digests) // 32:
+                wrong += [place] * (run_text(digests) != locked)
+            elif int(locked.partition(" ")[0] or 0) < len(digests) // 32:
+                wrong.append(place)
+            else:
+                partly.append(place)
+    if wrong:
+        return [Fault(f"not what {path} holds: other episodes in {', '.join(wrong[:3])}")]
+    if partly:
+        return [Fault(f"holds some episodes of {', '.join(partly[:3])}; {path} can only prove all "
+                      "of them", is_doubt=True)]  # fmt: skip
+    return []
 
 
 def _tta_hashes(material: Material, tta: TtaSet) -> set[str]:

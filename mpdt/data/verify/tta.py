@@ -44,6 +44,11 @@ def _number_faults(name: str, tta: TtaSet) -> list[Fault]:
     wrong = np.flatnonzero(~np.isfinite(tta.preset_return))
     if len(wrong):
         faults.append(fault("no preset return", wrong, track))
+    for row in np.unique(tta.task):
+        ids = tta.of_task(int(row))
+        other = ids[tta.preset_return[ids] != tta.preset_return[ids[0]]]
+        if len(other) and not len(wrong):
+            faults.append(fault("asks for several returns of one task", other, track))
     try:
         low, high, scale = (float(tta.rule[key]) for key in ("low", "high", "action_scale"))
     except (KeyError, TypeError, ValueError):

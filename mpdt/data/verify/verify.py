@@ -2,7 +2,7 @@
 what is in the file.
 
     format ── shapes ── one pass over all steps: hash, values, flags, returns, duplicates
-       '         '      tables: quality, leak, tta          simulator: replay
+       '         '      tables: quality, leak, claims, tta  simulator: replay
        '---------'----- what builds on a failed one is skipped
 """
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from mpdt.data.lock.file import LockEntry, read_lock
 from mpdt.data.store.origin import damaged_hint
+from mpdt.data.verify.claims import check_claims
 from mpdt.data.verify.duplicates import DuplicatesCheck
 from mpdt.data.verify.file_format import open_unchecked
 from mpdt.data.verify.finding import Finding, Outcome
@@ -37,7 +38,7 @@ from mpdt.pace import Pace
 
 CHECKS = (
     "format", "hash", "shapes", "values", "flags", "returns", "quality", "duplicates", "leak",
-    "tta", "replay",
+    "claims", "tta", "replay",
 )  # fmt: skip
 
 
@@ -84,7 +85,8 @@ def verify(
             entry = (str(lock), entries.get(material.dataset.name)) if lock else None
             found += _stream(_step_checks(material, wanted, entry), material, say)
             for id, check in (
-                ("quality", check_quality), ("leak", check_leak), ("tta", check_tta),
+                ("quality", check_quality), ("leak", check_leak),
+                ("claims", partial(check_claims, lock=entry)), ("tta", check_tta),
                 ("replay", partial(check_replay, amount=amount, say=say)),
             ):  # fmt: skip
                 if id in wanted:

@@ -15,6 +15,7 @@ import pytest
 from mpdt.data.slices.cut import Cut, cut_file
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
+from mpdt.data.store.seal import seal
 
 Make = Callable[..., Any]
 
@@ -198,3 +199,25 @@ def test_links_show_the_episodes_to_minari_and_are_not_followed_by_us(
     error = capsys.readouterr().err
     assert "observations is in another file" in error and "without --link" in error
     assert run("export", collected, "--to", "npz", "-o", "npz", "--link") == 2
+
+
+def test_an_entry_point_is_ours_and_never_a_files(
+    collected: Path, tmp_path: Path, exported: Make, imported: Make
+) -> None:
+    """`recover_environment` of the real package would call what stands there."""
+    import minari
+
+    path = tmp_path / "evil.h5"
+    path.write_bytes(collected.read_bytes())
+    evil = json.dumps({"entry_point": "os:system", "kwargs": {"command": "touch PWNED"}})
+    with h5py.File(path, "r+") as file:
+        file["tasks/env"][...] = evil
+        seal(file)
+    exported(path)
+    found = minari.load_dataset("mpdt/cheetah_dir/forward/expert-v1")
+    assert found.env_spec.entry_point == "mpdt.data.sim.gym:make"
+    assert found.env_spec.kwargs == {"family": "cheetah_dir", "task": "forward", "horizon": 5}
+    found.recover_environment().close()
+    assert not Path("PWNED").exists()
+    back = imported("out", "--from", "minari")
+    assert {env["entry_point"] for env in back.tasks.envs} == {"mpdt.data.sim.gym:make"}
