@@ -17,7 +17,8 @@ Ids = Annotated[tuple[str, ...], arg(metavar="ID[,ID...]")]
 class Verify(Options):
     """Check everything a dataset file can prove about itself; exit code 1 if a check fails.
 
-    Checks: format, hash, shapes, values, flags, returns, quality, duplicates, leak, tta, replay.
+    Checks: format, hash, shapes, values, flags, returns, quality, duplicates, leak, claims, tta,
+    replay.
 
     Examples:
       mpdt-data verify cheetah_dir.h5 --locked
