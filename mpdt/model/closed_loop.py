@@ -20,15 +20,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mpdt.errors import ShapeError, SpecError
-from mpdt.model.moving_window import MovingWindow, prompt_prefix
+from mpdt.model.moving_window import LEAST_ROWS, MovingWindow, prompt_prefix
 from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.returns import ReturnTable
 
 Array = NDArray[Any]
-
-_LEAST_ROWS = 4
-"""Matrix products of fewer rows round differently (MKL takes another path). Filled up with
-copies to this many, a row acts alone as it does among a hundred, to the bit."""
 
 FEW_ROWS = 16
 """Up to so many rows act on one thread: waking others costs more than they do, and on a busy
@@ -74,7 +70,7 @@ class ClosedLoop:
         """
         self.policy, self.context = policy, context
         self.num_rows = int(prompt_index.shape[0])
-        self._rows = _filled(self.num_rows, _LEAST_ROWS)
+        self._rows = _filled(self.num_rows, LEAST_ROWS)
         self._low, self._high = action_low, action_high
         for table in (prompts, returns):
             if table is not None and int(prompt_index.max()) >= len(table):

@@ -142,7 +142,7 @@ def _random(name: str, depth: int | None, seed: int) -> tuple[str, Any]:
 
     config = _truncate(AutoConfig.for_model(**_SHAPES[shape]), depth, name)
     with layers_from(seed):
-        model = AutoModel.from_config(config, dtype=torch.float32)
+        model = AutoModel.from_config(config, dtype=torch.float32, trust_remote_code=False)
     return f"random:{shape}", model
 
 

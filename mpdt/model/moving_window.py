@@ -25,6 +25,14 @@ from mpdt.model.backbone import Backbone, positions_of, visible_to
 from mpdt.model.blocks import attend, block_shape, turned
 from mpdt.model.prefix import PrefixCache
 
+LEAST_ROWS = 4
+"""Matrix products of fewer rows round differently (MKL takes another path). Filled up with
+copies to this many, a row acts alone as it does among a hundred, to the bit."""
+
+_AT_ONCE = 400
+"""Tokens that go through blocks together: enough for the matrix products, few enough that what
+stands between them stays in the processor's cache."""
+
 
 class MovingWindow:
     """The last tokens of B rows, each behind its own prompt. No gradients.
@@ -69,14 +77,30 @@ class MovingWindow:
             real: (B,) how many of the m, counted from the end, a row really has.
         """
         self._held = (self._held + real).clamp(max=self._most)
-        full = int(self._held.min()) == self._most
-        mask = (
-            torch.arange(self._most)
-            >= self._most - (self._held[:1] if full else self._held)[:, None]
-        )
+        mask = torch.arange(self._most) >= self._most - self._held[:, None]
+        if mask.all():
+            mask = mask[:1]
         positions = positions_of(mask, self._length)
-        turn, visible = self._shape.turn(positions), visible_to(mask, self._length)
-        x, queries, keys, values = self._first(tokens.to(self._dtype), positions)
+        first = self._first(tokens.to(self._dtype), positions)
+        numbers = torch.arange(len(tokens))
+        parts = 1
+        if len(self._blocks) > 1:
+            parts = min(len(tokens) * self._most // _AT_ONCE, len(tokens) // LEAST_ROWS)
+        hidden = [
+            self._through(slice(int(rows[0]), int(rows[-1]) + 1), first, mask, positions)
+            for rows in numbers.tensor_split(max(parts, 1))
+        ]
+        return torch.cat(hidden)
+
+    def _through(
+        self, rows: slice, first: tuple[Tensor, ...], mask: Tensor, positions: Tensor
+    ) -> Tensor:
+        """Hidden vectors (rows, s) from what `_first` gave of all rows."""
+        x, queries, keys, values = (one[rows] for one in first)
+        if len(mask) > 1:
+            mask, positions = mask[rows], positions[rows]
+        full, visible = bool(mask.all()), visible_to(mask, self._length)
+        turn = self._shape.turn(positions)
         for number, block in enumerate(self._blocks):
             last = number == len(self._blocks) - 1
             if number:
@@ -88,13 +112,13 @@ class MovingWindow:
                 seen, now = visible, turn
             keys, values = turned(keys, turn), values.to(torch.float32)
             if self._length:
-                keys = torch.cat([self._prompt_keys[number], keys], dim=2)
-                values = torch.cat([self._prompt_values[number], values], dim=2)
+                keys = torch.cat([self._prompt_keys[number][rows], keys], dim=2)
+                values = torch.cat([self._prompt_values[number][rows], values], dim=2)
             scaling = self._shape.scaling(block)
             gathered = attend(turned(queries, now), keys, values, scaling, seen)
             x = self._shape.rest(block, x, gathered.to(self._dtype))
             if self._adapters is not None:
-                x = x + bottleneck(x, self._adapters[:, number])
+                x = x + bottleneck(x, self._adapters[rows, number])
         return self._shape.norm(x)[:, -1].to(torch.float32)
 
     def _first(self, tokens: Tensor, positions: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

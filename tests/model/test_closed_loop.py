@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 from mpdt.errors import ShapeError, SpecError
+from mpdt.model import moving_window
 from mpdt.model.backbone import Backbone, load_backbone
 from mpdt.model.closed_loop import FEW_ROWS, ClosedLoop
 from mpdt.model.policy import PolicyBatch, PromptPolicy
@@ -199,6 +200,21 @@ def test_a_row_acts_the_same_to_the_bit_whatever_else_is_there(
                 live["starts"][row : row + 1, t],
             )
             assert np.array_equal(action[0], live["actions"][row, t]), (row, t)
+
+
+def test_many_rows_go_through_in_parts(
+    any_backbone: Backbone, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Full windows and filling ones; nine rows in two parts, and what they would be in one."""
+    policy, index = make(any_backbone), torch.tensor([0, 1, 0, 0, 1, 1, 1, 0, 1])
+    prompts, seen = numbers(2, LENGTH, any_backbone.width), numbers(STEPS, 9, D).numpy()
+    acted = []
+    for at_once in (4, 10**6):
+        monkeypatch.setattr(moving_window, "_AT_ONCE", at_once)
+        loop = ClosedLoop(policy, prompts, index, K, TABLE)
+        late = np.arange(9) % 2 == 1
+        acted.append([loop.act(row, np.zeros(9), late & (t == 9)) for t, row in enumerate(seen)])
+    assert np.array_equal(*acted)
 
 
 def test_a_second_episode_remembers_nothing(gpt2_shaped: Backbone) -> None:
