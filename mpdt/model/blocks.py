@@ -11,6 +11,7 @@ is the same computation in one piece, and the tests hold the two together.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import torch
@@ -80,8 +81,8 @@ class Rotary:
 
     def project(self, block: Any, x: Tensor, newest: bool) -> tuple[Tensor, Tensor, Tensor]:
         own, seen = block.self_attn, block.input_layernorm(x)
-        asking = _newest(seen) if newest else seen
-        q, k, v = own.q_proj(asking), own.k_proj(seen), own.v_proj(seen)
+        k, v = own.k_proj(seen), own.v_proj(seen)
+        q = in_company(own.q_proj, _newest(seen)) if newest else own.q_proj(seen)
         return _heads(q, own.head_dim), _heads(k, own.head_dim), _heads(v, own.head_dim)
 
     def rest(self, block: Any, x: Tensor, attended: Tensor) -> Tensor:
@@ -116,8 +117,11 @@ class Learned:
         own, seen = block.attn, block.ln_1(x)
         # One matrix (s, 3 s) for all three, side by side.
         weight, bias, width = own.c_attn.weight, own.c_attn.bias, own.split_size
-        asking = _newest(seen) if newest else seen
-        q = asking @ weight[:, :width] + bias[:width]
+
+        def ask(x: Tensor) -> Tensor:
+            return x @ weight[:, :width] + bias[:width]
+
+        q = in_company(ask, _newest(seen)) if newest else ask(seen)
         k, v = (seen @ weight[:, width:] + bias[width:]).chunk(2, dim=-1)
         return _heads(q, own.head_dim), _heads(k, own.head_dim), _heads(v, own.head_dim)
 
@@ -137,6 +141,27 @@ class Learned:
 def block_shape(model: Any) -> BlockShape:
     """The pieces of a GPT-2 or Llama shaped model."""
     return Learned(model) if model.config.model_type == "gpt2" else Rotary(model)
+
+
+LEAST_ROWS = 4
+"""Matrix products of fewer rows round differently: MKL takes another path for them."""
+
+
+def filled(rows: int) -> Tensor:
+    """Numbers 0 to rows - 1, the last one again until there are `LEAST_ROWS`."""
+    return torch.arange(max(rows, LEAST_ROWS)).clamp(max=rows - 1)
+
+
+def in_company(compute: Callable[..., Any], *rows: Tensor) -> Any:
+    """`compute` of tensors of as many rows each; few are filled up with copies meanwhile.
+
+    So a row comes out alone as it does among a hundred, to the bit.
+    """
+    count = len(rows[0])
+    if count >= LEAST_ROWS:
+        return compute(*rows)
+    found = compute(*(one[filled(count)] for one in rows))
+    return found[:count] if isinstance(found, Tensor) else tuple(one[:count] for one in found)
 
 
 def turned(x: Tensor, turn: Turn | None) -> Tensor:

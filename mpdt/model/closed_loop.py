@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mpdt.errors import ShapeError, SpecError
-from mpdt.model.moving_window import LEAST_ROWS, MovingWindow, prompt_prefix
+from mpdt.model.blocks import filled, in_company
+from mpdt.model.moving_window import MovingWindow, prompt_prefix
 from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.returns import ReturnTable
 
@@ -70,7 +71,8 @@ class ClosedLoop:
         """
         self.policy, self.context = policy, context
         self.num_rows = int(prompt_index.shape[0])
-        self._rows = _filled(self.num_rows, LEAST_ROWS)
+        # Few rows are filled up with copies where products of few rows would round differently.
+        self._filled = filled(self.num_rows)
         self._low, self._high = action_low, action_high
         for table in (prompts, returns):
             if table is not None and int(prompt_index.max()) >= len(table):
@@ -80,8 +82,7 @@ class ClosedLoop:
                     expected=f"indices below {len(table)}",
                     found=str(int(prompt_index.max())),
                 )
-        prompt_index = prompt_index[self._rows]
-        self._returns = None if returns is None else returns.select(prompt_index)
+        self._returns = None if returns is None else returns.select(prompt_index[self._filled])
         self._step_tokens = policy.inputs.settings.tokens_per_step
         # Of three tokens of a step the last is its action, which nobody knows while it is chosen.
         self._asked = self._step_tokens // 2 + 1
@@ -91,7 +92,7 @@ class ClosedLoop:
             own, place = torch.unique(prompt_index, return_inverse=True)
             used = None if prompts is None else prompts[own]
             prefix = prompt_prefix(policy.backbone, used).select(place)
-        self._window = MovingWindow(policy.backbone, prefix, len(self._rows), most)
+        self._window = MovingWindow(policy.backbone, prefix, self.num_rows, most)
         self.reset()
 
     def reset(self, targets: Array | None = None) -> None:
@@ -104,21 +105,21 @@ class ClosedLoop:
             targets = targets[: self.num_rows]
         self._check(targets, (self.num_rows,), "targets")
         # Lowered in float64: 500 float32 subtractions would drift from the stored returns.
-        self._targets: Array = np.asarray(targets, dtype=np.float64)[self._rows]
+        self._targets: Array = np.array(targets, dtype=np.float64)
         self._return_to_go = self._targets
         self._last: _Step | None = None
 
     def ask(self, targets: Array) -> None:
         """Raw returns (B,) to be asked of the episodes that begin from now on."""
         self._check(targets, (self.num_rows,), "targets")
-        self._targets = np.asarray(targets, dtype=np.float64)[self._rows]
+        self._targets = np.array(targets, dtype=np.float64)
 
     def acted(self, actions: Array) -> None:
         """What (B, A) was done at the last step in place of the actions that were chosen."""
         self._check(actions, (self.num_rows, self.policy.action_size), "actions")
         assert self._last is not None, "act() comes first"
         done = np.asarray(actions, np.float32).clip(self._low, self._high)
-        self._last = replace(self._last, actions=done[self._rows])
+        self._last = replace(self._last, actions=done)
 
     def fork(self) -> ClosedLoop:
         """Another loop with the same histories; neither knows what the other does from now on."""
@@ -150,24 +151,22 @@ class ClosedLoop:
         if starts is not None:
             self._check(starts, (B,), "starts")
             begins |= np.asarray(starts, dtype=np.bool_)
-        begins = begins[self._rows]
         rewards = np.zeros(B) if previous_rewards is None else np.asarray(previous_rewards)
-        seen = np.asarray(observations, dtype=np.float32)[self._rows]
-        steps = self._steps(seen, rewards[self._rows], begins)
+        steps = self._steps(np.array(observations, dtype=np.float32), rewards, begins)
         with torch.inference_mode(), few_threads(B):
             if begins.any():
                 self._window.forget(torch.from_numpy(begins))
-            batch = _as_batch(steps)
-            tokens = self.policy.tokens(batch, self._returns)[0][:, 0]
+            batch = _as_batch(steps, self._filled)
+            tokens = self.policy.tokens(batch, self._returns)[0][:B, 0]
             tokens = tokens[:, : tokens.shape[1] - (self._step_tokens - self._asked)]
             tokens = tokens[:, -self._step_tokens :]
             # An action that was chosen in another episode, or in none, is no token of this one.
             real = np.where(begins, self._asked, tokens.shape[1])
             hidden = self._window.append(tokens, torch.from_numpy(real))
-            wished = self.policy.head(hidden).numpy()
+            wished = in_company(self.policy.head, hidden).numpy()
         actions: Array = wished.clip(self._low, self._high)
         self._last = replace(steps[-1], actions=actions)
-        return actions[:B]
+        return actions
 
     def _steps(self, observations: Array, rewards: Array, begins: Array) -> list[_Step]:
         """The step of now, behind the one before where its action is a token of its own."""
@@ -212,17 +211,12 @@ def few_threads(rows: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def _filled(count: int, least: int) -> Array:
-    """Numbers 0 to count - 1, the last again until there are `least`."""
-    return np.arange(max(count, least)).clip(max=count - 1)
-
-
-def _as_batch(steps: list[_Step]) -> PolicyBatch:
-    """The steps as windows (n = B, M = 1, K = 1 or 2, ...)."""
+def _as_batch(steps: list[_Step], rows: Tensor) -> PolicyBatch:
+    """Those rows of the steps as windows (n, M = 1, K = 1 or 2, ...)."""
 
     def stack(name: str) -> Tensor:
         columns = [getattr(step, name) for step in steps]
-        return torch.from_numpy(np.stack(columns, axis=1)[:, None])
+        return torch.from_numpy(np.stack(columns, axis=1)[:, None])[rows]
 
     return PolicyBatch(
         observations=stack("observations"),

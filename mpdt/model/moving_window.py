@@ -16,18 +16,15 @@ block a token has seen others that have left the window since, so nothing can be
 from __future__ import annotations
 
 import copy
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from mpdt.model.adapters import bottleneck
 from mpdt.model.backbone import Backbone, positions_of, visible_to
-from mpdt.model.blocks import attend, block_shape, turned
+from mpdt.model.blocks import attend, block_shape, in_company, turned
 from mpdt.model.prefix import PrefixCache
-
-LEAST_ROWS = 4
-"""Matrix products of fewer rows round differently (MKL takes another path). Filled up with
-copies to this many, a row acts alone as it does among a hundred, to the bit."""
 
 _AT_ONCE = 400
 """Tokens that go through blocks together: enough for the matrix products, few enough that what
@@ -85,7 +82,7 @@ class MovingWindow:
         numbers = torch.arange(len(tokens))
         parts = 1
         if len(self._blocks) > 1:
-            parts = min(len(tokens) * self._most // _AT_ONCE, len(tokens) // LEAST_ROWS)
+            parts = min(len(tokens) * self._most // _AT_ONCE, len(tokens))
         hidden = [
             self._through(slice(int(rows[0]), int(rows[-1]) + 1), first, mask, positions)
             for rows in numbers.tensor_split(max(parts, 1))
@@ -116,7 +113,7 @@ class MovingWindow:
                 values = torch.cat([self._prompt_values[number][rows], values], dim=2)
             scaling = self._shape.scaling(block)
             gathered = attend(turned(queries, now), keys, values, scaling, seen)
-            x = self._shape.rest(block, x, gathered.to(self._dtype))
+            x = in_company(partial(self._shape.rest, block), x, gathered.to(self._dtype))
             if self._adapters is not None:
                 x = x + bottleneck(x, self._adapters[rows, number])
         return self._shape.norm(x)[:, -1].to(torch.float32)
@@ -128,7 +125,7 @@ class MovingWindow:
             (window,) = self._keep(tokens)
             x = shape.enter(window, positions)
             return (x, *shape.project(block, x, newest=alone))
-        queries, keys, values = shape.project(block, tokens, newest=alone)
+        queries, keys, values = in_company(partial(shape.project, block, newest=alone), tokens)
         if alone:  # older tokens are only looked at
             keys, values = self._keep(keys, values)
             return tokens, queries, keys, values

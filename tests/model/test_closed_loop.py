@@ -244,8 +244,8 @@ def test_rewards_lower_the_return_to_go_and_none_keeps_it(gpt2_shaped: Backbone)
     loop.act(np.zeros((3, D)), np.array([0.5, -1.0, 0.0]))
     loop.act(np.zeros((3, D)))
     assert loop._last is not None
-    assert loop._last.returns_to_go[:3].tolist() == [1.5, 3, 2]
-    assert loop._last.timesteps[:3].tolist() == [2, 2, 2]
+    assert loop._last.returns_to_go.tolist() == [1.5, 3, 2]
+    assert loop._last.timesteps.tolist() == [2, 2, 2]
 
 
 def test_rows_do_not_influence_each_other(gpt2_shaped: Backbone) -> None:
