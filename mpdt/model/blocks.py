@@ -119,7 +119,8 @@ class Learned:
         weight, bias, width = own.c_attn.weight, own.c_attn.bias, own.split_size
 
         def ask(x: Tensor) -> Tensor:
-            return x @ weight[:, :width] + bias[:width]
+            asked: Tensor = x @ weight[:, :width] + bias[:width]
+            return asked
 
         q = in_company(ask, _newest(seen)) if newest else ask(seen)
         k, v = (seen @ weight[:, width:] + bias[width:]).chunk(2, dim=-1)
