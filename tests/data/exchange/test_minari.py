@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
+from mpdt.data.exchange import hdf5
 from mpdt.data.slices.cut import Cut, cut_file
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
@@ -221,3 +222,20 @@ def test_an_entry_point_is_ours_and_never_a_files(
     assert not Path("PWNED").exists()
     back = imported("out", "--from", "minari")
     assert {env["entry_point"] for env in back.tasks.envs} == {"mpdt.data.sim.gym:make"}
+
+
+def test_links_that_show_other_rows_are_noticed(
+    run: Callable[..., int], collected: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """A row off: what a virtual dataset of a wrong source shows, without an error of its own."""
+    real = hdf5.linked
+
+    def shifted(group: Any, name: str, source: Any, rows: slice) -> None:
+        first = max(0, rows.start - 1)
+        real(group, name, source, slice(first, first + rows.stop - rows.start))
+
+    monkeypatch.setattr(hdf5, "linked", shifted)
+    assert run("export", collected, "--to", "minari", "-o", "out", "--link") == 1
+    assert "links do not show the episodes" in capsys.readouterr().err
+    assert not Path("out").exists()

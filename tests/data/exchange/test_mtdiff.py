@@ -76,3 +76,11 @@ def test_families_that_show_the_goal_keep_it(prompts: Path, imported: Make) -> N
     assert data.tasks.names == ("assembly", "push", "reach")
     assert data.steps.observations[0, 36:].tolist() == [2036, 2037, 2038]
     assert (data.episodes.quality == 2).all()
+
+
+def test_a_name_that_says_another_task_than_the_option_is_no_reason_to_skip(
+    prompts: Path, run: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = (*ML10, "--hide-goal", "--clip-actions", "--task", "reach")
+    assert run("import", prompts / "assembly-v2_prompt.npy", *words, "-o", "x.h5") == 1
+    assert "assembly" in capsys.readouterr().err and not Path("x.h5").exists()

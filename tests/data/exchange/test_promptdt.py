@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mpdt.data.exchange.foreign import _natural
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 from mpdt.seeding import UNKNOWN_SEED_KEY
@@ -286,3 +287,9 @@ def test_an_export_appears_whole_or_not_at_all(
     assert run(*words) == 1
     assert "an export would replace something" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "out.tmp"]
+
+
+def test_numbers_in_names_count_as_numbers() -> None:
+    """The order of the episodes in the new file is that of the names."""
+    names = ["x-10.pkl", "x-9-b.pkl", "x-9.pkl", "x-2.pkl"]
+    assert sorted(names, key=_natural) == ["x-2.pkl", "x-9-b.pkl", "x-9.pkl", "x-10.pkl"]
