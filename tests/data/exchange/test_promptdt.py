@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mpdt.data.exchange import promptdt
 from mpdt.data.exchange.foreign import _natural
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
@@ -293,3 +294,19 @@ def test_numbers_in_names_count_as_numbers() -> None:
     """The order of the episodes in the new file is that of the names."""
     names = ["x-10.pkl", "x-9-b.pkl", "x-9.pkl", "x-2.pkl"]
     assert sorted(names, key=_natural) == ["x-2.pkl", "x-9-b.pkl", "x-9.pkl", "x-10.pkl"]
+
+
+def test_prompts_are_the_first_five_episodes(
+    collected: Path, run: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three, so that the four there are suffice."""
+    assert promptdt.NUM_PROMPTS == 5
+    monkeypatch.setattr(promptdt, "NUM_PROMPTS", 3)
+    assert run("export", collected, "--to", "promptdt", "-o", "out") == 0
+    folder = Path("out/data/cheetah_dir")
+    whole, prompts = (
+        IndependentReader(io.BytesIO((folder / name).read_bytes())).load()
+        for name in ("cheetah_dir-0-expert.pkl", "cheetah_dir-0-prompt-expert.pkl")
+    )
+    assert (len(whole), len(prompts)) == (4, 3)
+    np.testing.assert_array_equal(prompts[2]["observations"], whole[2]["observations"])
