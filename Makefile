@@ -78,6 +78,7 @@ trust: .venv/ready
 	$(BIN)/python benchmarks/trust/torture.py --json results/trust/torture.json
 	$(BIN)/python benchmarks/trust/writers.py --json results/trust/writers.json
 	$(BIN)/python benchmarks/trust/fuzz.py --json results/trust/fuzz.json
+	$(BIN)/python benchmarks/trust/limits.py --json results/trust/limits.json
 	$(BIN)/python benchmarks/trust/bundles.py --json results/trust/bundles.json
 	$(BIN)/python benchmarks/trust/clusters.py --json results/trust/clusters.json
 	$(BIN)/pytest -m slow tests/data/lock/test_locked_rebuild.py

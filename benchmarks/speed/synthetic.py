@@ -21,6 +21,7 @@ from mpdt.data.store import columns, layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.reader import open_dataset
+from mpdt.data.store.seal import seal
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import ALIGNED, write_file
@@ -127,4 +128,5 @@ def hollow(path: Path, model: Path, num_bytes: int) -> Dataset:
         columns.write_table(new.create_group("episodes"), layout.EPISODES, table)
         new["episodes/quality"].attrs["codes"] = old["episodes/quality"].attrs["codes"]
         new.attrs["content_hash"] = content_hash(small.content_header(), table["digest"])
+        seal(new)
     return open_dataset(path)

@@ -24,6 +24,9 @@ Written by `make trust` from `results/trust/`; do not edit. Small versions of al
   after any kill: same package versions, same CPU type and BLAS kernels, same shipped weights.
 - Everything a file says is covered: episodes by a digest each, the rest by the seal.
   `mpdt-data verify FILE` recomputes both.
+- A file leads nowhere else: links, external and virtual arrays are refused, in files of ours and in
+  imports; sizes that it declares are compared with its own before anything is read.
+- No command passes damage on: what is copied or trained on is compared with its digests.
 - Reading data runs no code: HDF5, safetensors and JSON; foreign pickles go through a reader that
   builds plain values and arrays and refuses everything else. `np.load(allow_pickle=True)` and
   `torch.load` appear nowhere (a test looks).
@@ -35,8 +38,8 @@ Written by `make trust` from `results/trust/`; do not edit. Small versions of al
   Random and TTA episodes, and Meta-World's scripts, use no matrix product of ours.
 - libhdf5 itself can crash or hang on damaged metadata. Such a file is never read as good data, but
   the process that opens it may need to be stopped.
-- A program that changes a file and writes digests, hashes and seal anew is found only by
-  `datasets.lock`.
+- A program that changes episodes and writes digests, hashes and seal anew is found only by
+  `datasets.lock`, or by `verify --replay`; what it changes beside them by the check `claims`.
 """
 
 
@@ -110,6 +113,24 @@ def clusters(found: dict[str, Any]) -> str:
     )
 
 
+def limits(found: list[dict[str, Any]]) -> str:
+    rows = [
+        [one["input"], f"`{one['command']}`", _size(one["bytes"]), one["megabytes"],
+         one["seconds"], "read" if one["code"] == 0 else "refused"]
+        for one in found
+    ]  # fmt: skip
+    return (
+        "\n## Small inputs that announce much\n\n`python benchmarks/trust/limits.py`: what a "
+        "command spends before it answers, in a process of its own; the first lines are what "
+        "it needs anyway.\n\n"
+        + markdown_table(["input", "command", "size", "most MB", "seconds", "outcome"], rows)
+    )
+
+
+def _size(num_bytes: int) -> str:
+    return f"{num_bytes / 1e6:.1f} MB" if num_bytes >= 10**5 else f"{num_bytes / 1e3:.1f} kB"
+
+
 def mutants(found: dict[str, Any]) -> str:
     """One line per folder, then every break in a list that can be searched."""
     breaks: list[dict[str, Any]] = found["breaks"]
@@ -146,6 +167,7 @@ def page(folder: Path) -> str:
     sections = {
         "torture": torture,
         "writers": writers,
+        "limits": limits,
         "fuzz": fuzz,
         "clusters": clusters,
         "mutants": mutants,

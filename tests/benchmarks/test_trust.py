@@ -43,3 +43,15 @@ def test_a_little_damage(tmp_path: Path) -> None:
     assert sum(counts) == 45
     assert len(counts) == 6, "flips, and files of five kinds"
     assert "found" in found["mutations of weights"]
+
+
+def test_a_declared_size_costs_nothing(tmp_path: Path) -> None:
+    rows = run("limits.py", tmp_path / "x.json", "--only", "show observations of shape")
+    assert [row["faults"] for row in rows] == [[]]
+    assert rows[0]["megabytes"] < 200 and "none" in rows[0]["error"]
+
+
+@pytest.mark.long
+def test_every_small_input_that_announces_much(tmp_path: Path) -> None:
+    rows = run("limits.py", tmp_path / "x.json")
+    assert len(rows) > 20 and not [row for row in rows if row["faults"]]

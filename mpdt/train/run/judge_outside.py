@@ -16,7 +16,7 @@ import numpy as np
 from mpdt.data.sim.actors import Actions, Observations, Rewards, Rows
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset, parse_ref
-from mpdt.errors import DataError, UsageError
+from mpdt.errors import DataError, UsageError, quoted
 from mpdt.train.bundle.acting import ActingPolicy
 from mpdt.train.bundle.build import Bundle
 from mpdt.train.bundle.format import OWN, BundleConfig, FamilyFacts
@@ -262,7 +262,7 @@ def _material(ref: str) -> Material:
     path, slice_name = parse_ref(ref)
     if slice_name is not None:
         raise UsageError("a slice chooses episodes, and none is read here", where=ref,
-                         hint=f"--data {path}")  # fmt: skip
+                         hint=f"--data {quoted(path)}")  # fmt: skip
     dataset = open_dataset(path)
     return Material(
         dataset=dataset, slice=None, quality=ALL, family=get_family(dataset.family),
