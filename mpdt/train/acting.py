@@ -84,10 +84,11 @@ def judge_others(command: EvaluatePolicy, rest: list[str]) -> int:
 def roll_out(command: Rollout) -> int:
     from mpdt.train.rollout import roll_out as making
     from mpdt.train.rollout.show import print_rolled_out
+    from mpdt.train.run.load import bundle_folder
     from mpdt.train.run.progress import Progress
 
     asked = making.plan_roll_outs(
-        making.bundle_folder(revealed(command.policy)), command.tasks, command.start,
+        bundle_folder(revealed(command.policy)), command.tasks, command.start,
         command.episodes, command.noise, command.seed,
     )  # fmt: skip
 

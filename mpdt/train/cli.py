@@ -52,6 +52,7 @@ from mpdt.train.options import (
 )
 
 if TYPE_CHECKING:
+    from mpdt.train.run.begin import Beginning
     from mpdt.train.run.config import TrainConfig
     from mpdt.train.run.stop import StopRequest
 
@@ -138,7 +139,14 @@ def _run(command: Run, rest: list[str]) -> int:
     from mpdt.train.run.progress import Progress
     from mpdt.train.run.show import print_results
 
-    config = parse_settings(command, rest)
+    beginning = None
+    if command.begin is not None:
+        from mpdt.data.remote.address import revealed
+        from mpdt.train.run.begin import Beginning
+        from mpdt.train.run.load import bundle_folder
+
+        beginning = Beginning.at(bundle_folder(revealed(command.begin)))
+    config = parse_settings(command, rest, beginning)
     file = fitting_name(parse_ref(command.data)[0].stem)
     folder = locate(command.runs_dir, command.name or f"{file}-{command.method or command.preset}")
 
@@ -146,6 +154,7 @@ def _run(command: Run, rest: list[str]) -> int:
         results = run_pipeline(
             prepare(config, command.data), folder, Progress(command.quiet, stop),
             "restart" if command.restart else "continue", command.time_limit_s,
+            beginning=beginning,
         )  # fmt: skip
         if results:  # of several processes the first one tells
             print_results(results, command.json)
@@ -240,8 +249,13 @@ def _travel(command: Push | Pull) -> int:
     return 0
 
 
-def parse_settings(command: Run, rest: Sequence[str]) -> TrainConfig:
+def parse_settings(
+    command: Run, rest: Sequence[str], beginning: Beginning | None = None
+) -> TrainConfig:
     """The preset with the overrides of the command line.
+
+    Args:
+        beginning: brings what its policy is made of.
 
     Raises: UsageError for an unknown preset or a value out of range; exits with 2 and the
         nearest option for an unknown one.
@@ -260,6 +274,8 @@ def parse_settings(command: Run, rest: Sequence[str]) -> TrainConfig:
             multitask=msgspec.structs.replace(preset.multitask, steps=command.steps),
             teacher=msgspec.structs.replace(preset.teacher, steps=round(command.steps * share)),
         )
+    if beginning is not None:
+        preset = beginning.settings(preset)
     if command.method is not None:
         preset = apply_method(preset, command.method)
     short = [] if command.adapt is None else ["--adapt.starts", command.adapt]

@@ -29,6 +29,9 @@ class Run:
     """FILE or FILE:slice, as written by mpdt-data collect or split."""
     preset: str = "base"
     """Settings to start from: smoke, demo, base, paper."""
+    begin: Annotated[str | None, tyro.conf.arg(name="from")] = None
+    """Bundle (folder, address or folder of a run) to train on: of its family everything is taken,
+    for another family what fits. What the policy is made of is then the bundle's, too."""
     method: str | None = None
     """MPDT, MPDT-E, MPDT-WP, Soft-Prompt, Prompt-DT, MT-BC, LaMo, ...: lays a method over the
     preset. `mpdt-train methods` tells of all; default: the preset's own."""

@@ -86,12 +86,14 @@ def _language_model(config: BundleConfig) -> tuple[str, str]:
 
 
 def _page(config: BundleConfig, scores: Sequence[Score]) -> str:
+    began = config.training.settings.get("began_from")
     facts = {
         "name": config.name,
         "policy": f"{config.training.method} on {config.family.name}, window {config.window}",
         "language model": _said(config),
         "data": f"{config.data.name} {config.data.version}, content {config.data.content_hash}, "
         f"{config.data.quality}" + (f", slice {config.data.slice}" if config.data.slice else ""),
+        **({"began from": f"a policy, seal {began}"} if began else {}),
         "updates": ", ".join(f"{phase} {n} of {config.training.updates_asked[phase]}"
                              for phase, n in config.training.updates.items()),
         "trained with": ", ".join(f"{k} {v}" for k, v in config.versions.items()),

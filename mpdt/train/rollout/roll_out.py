@@ -18,30 +18,15 @@ from mpdt.data.collect.rollouts import RolledOut, RollOuts, roll_out_to
 from mpdt.data.reference import Reference, References
 from mpdt.data.spec.tasks import Family
 from mpdt.data.store.tables import TaskRow
-from mpdt.errors import MissingFileError, UsageError, quoted, unknown_name
+from mpdt.errors import UsageError, unknown_name
 from mpdt.train.bundle.format import OWN, BundleConfig, TaskFacts, seal
-from mpdt.train.bundle.read import is_bundle, read_bundle
+from mpdt.train.bundle.read import read_bundle
 from mpdt.train.bundle.select import NOT_ADAPTED, policy_of_bundle
 from mpdt.train.rollout.ladder import BundleLadder
-from mpdt.train.run.load import local_folder
 from mpdt.train.run.progress import Progress
 
 MOST_NOISE = 100.0
 ROLES = {"train": ("train", "both"), "test": ("test", "both"), "all": ("train", "test", "both")}
-
-
-def bundle_folder(where: str) -> Path:
-    """The bundle's folder at an address, in a folder or in that of a run.
-
-    Raises: MissingFileError; RemoteError.
-    """
-    folder = local_folder(where)
-    for place in (folder, folder / "policy"):
-        if is_bundle(place):
-            return place
-    hint = f"mpdt-train bundle {quoted(folder)} -o {quoted(f'{folder.name}-policy')}"
-    raise MissingFileError("no bundle here", where=str(folder), expected="a bundle, or the folder "
-                           "of a run with one", hint=hint if folder.is_dir() else "")  # fmt: skip
 
 
 def plan_roll_outs(

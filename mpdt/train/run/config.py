@@ -43,6 +43,8 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     and 15 times slower with torch's own (spinning) waits. See docs/log.md, 2026-11-22."""
     target_quantile: float = 0.9
     """Return asked of training tasks in closed loop, as a quantile of their training episodes."""
+    began_from: str | None = None
+    """Seal of the bundle whose numbers training begins with. `--from` sets it."""
     hardware: HardwareSettings = HardwareSettings()
     backbone: BackboneSettings = BackboneSettings()
     inputs: InputSettings = InputSettings()

@@ -65,6 +65,8 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
     # What plain hardware does belongs to runs from before there was a choice, too.
     if settings["hardware"] == to_plain(TrainConfig())["hardware"]:
         del settings["hardware"]
+    if settings["began_from"] is None:  # as all did once
+        del settings["began_from"]
     return settings
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mpdt.errors import MissingFileError, UsageError
+from mpdt.errors import MissingFileError, UsageError, quoted
 from mpdt.train.bundle.acting import ActingPolicy
 from mpdt.train.bundle.read import is_bundle, read_bundle, read_config
 from mpdt.train.bundle.select import policy_of_bundle
@@ -62,6 +62,20 @@ def load_policy(
     from mpdt.train.run.stored import policy_of_run
 
     return policy_of_run(RunFolder(folder), task, data, start)
+
+
+def bundle_folder(where: str) -> Path:
+    """The bundle's folder at an address, in a folder or in that of a run.
+
+    Raises: MissingFileError; RemoteError.
+    """
+    folder = local_folder(where)
+    for place in (folder, folder / "policy"):
+        if is_bundle(place):
+            return place
+    hint = f"mpdt-train bundle {quoted(folder)} -o {quoted(f'{folder.name}-policy')}"
+    raise MissingFileError("no bundle here", where=str(folder), expected="a bundle, or the folder "
+                           "of a run with one", hint=hint if folder.is_dir() else "")  # fmt: skip
 
 
 def local_folder(run: Path | str) -> Path:

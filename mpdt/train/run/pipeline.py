@@ -31,6 +31,7 @@ from mpdt.train.evaluate.tables import NORMALISED, build_tables
 from mpdt.train.fit.data import Material
 from mpdt.train.fit.group import Group
 from mpdt.train.fit.trained import Trained
+from mpdt.train.run.begin import Beginning
 from mpdt.train.run.build import build
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder, claimed, inspect
@@ -54,10 +55,12 @@ def run_pipeline(
     how: How = "continue",
     time_limit_s: float = 0.0,
     keep: Path | None = None,
+    beginning: Beginning | None = None,
 ) -> dict[str, Any]:
     """Do, continue or look up one run; returns the content of its results.json.
 
     Args:
+        beginning: where its numbers begin, if not anew; needed until it is trained.
         keep: where the episodes of its judgement go as data, see `keep.py`; judges in any case.
     Raises: Stopped after a signal, with everything saved that can be; MpdtError for what the
         user can mend, before anything is written or trained where that can be known.
@@ -102,7 +105,10 @@ def run_pipeline(
     )
     # Whatever can be refused has been refused after this, and nothing was written yet.
     learner = build(prepared, backbone)
-    trainer = Trainer(learner, folder, progress, time_limit_s, group)
+    if beginning is not None:
+        for line in beginning.fill(learner):
+            progress.say(line)
+    trainer = Trainer(learner, folder, progress, time_limit_s, group, filled=beginning is not None)
     progress.stop.check()
     with (
         claimed(folder, identity, restart),

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mpdt.data.store.proof import BackgroundProof
+from mpdt.errors import UsageError
 from mpdt.model.prompts import MixedPrompts, TaughtParts
 from mpdt.model.weights import WeightsHeader, load_weights, save_weights
 from mpdt.seeding import phase_seed
@@ -43,6 +44,7 @@ class Trainer:
         time_limit_s: end training after so many seconds of this process and go on with what
             there is; 0 = never. The result then depends on the machine.
         proof: that what is learnt from is whole; nothing is kept before it is.
+        filled: the learner holds the numbers of the bundle that the run begins from.
     """
 
     learner: Learner
@@ -51,6 +53,7 @@ class Trainer:
     time_limit_s: float = 0.0
     group: Group = ALONE
     proof: BackgroundProof | None = None
+    filled: bool = False
 
     def __post_init__(self) -> None:
         prepared = self.learner.prepared
@@ -78,6 +81,10 @@ class Trainer:
     def _phases(self, subject: Subject, began_s: float) -> dict[str, int]:
         """Phases A and B and their file; the updates done."""
         learner = self.learner
+        if self._config.began_from is not None and not self.filled:
+            raise UsageError("this run begins from a bundle", where=str(self.folder.path),
+                             expected=f"one of seal {self._config.began_from[:12]}",
+                             hint="the same command as before, with its --from")  # fmt: skip
         steps, teacher = {"teacher": 0, "student": 0}, None
         if self._config.teacher.distillation != "none":
             steps["teacher"] = self._train_teacher(began_s)

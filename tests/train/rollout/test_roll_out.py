@@ -24,7 +24,8 @@ from mpdt.data.verify.verify import verify
 from mpdt.errors import DataError, MissingFileError, UsageError
 from mpdt.seeding import HISTORY_STRIDE, Quality
 from mpdt.train.fit.data import load_material
-from mpdt.train.rollout.roll_out import bundle_folder, plan_roll_outs, roll_out
+from mpdt.train.rollout.roll_out import plan_roll_outs, roll_out
+from mpdt.train.run.load import bundle_folder
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.stop import Stopped
 

@@ -89,7 +89,7 @@ def with_setting(key):
     part, _, name = key.partition(".")
     config = TrainConfig()
     if not name:
-        return msgspec.structs.replace(config, **{part: {"seed": 1, "method": "X"}.get(part, 0)})
+        return msgspec.structs.replace(config, **{part: OTHERS.get(part, 0)})
     own = msgspec.structs.asdict(getattr(config, part))
     value = own[name]
     kinds = {bool: lambda v: not v, int: lambda v: v + 1, float: lambda v: v + 0.5}
@@ -110,6 +110,7 @@ OTHERS = {
     "evaluation.blocks": ("test",), "mixing.model": RewardSettings(tasks=3),
     "hardware.device": "cuda", "hardware.autocast": "bfloat16", "hardware.compile": "eager",
     "few_shot.qualities": ("expert",), "few_shot.start": "cross_mean", "few_shot.tuned": "all",
+    "seed": 1, "method": "X", "began_from": "0" * 64,
 }  # fmt: skip
 
 
