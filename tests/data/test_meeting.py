@@ -21,10 +21,12 @@ from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.exchange import formats, incoming
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.remote.pull import pull
+from mpdt.data.slices import split as split_module
 from mpdt.data.slices.cut import Cut, cut_file
 from mpdt.data.slices.split import split
 from mpdt.data.slices.standard import standard_additions as additions
 from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.store.amend import add_slice
 from mpdt.data.store.reader import open_dataset
 from mpdt.disk import replace
 from mpdt.errors import BusyError, DataError
@@ -203,3 +205,28 @@ def test_a_default_name_replaces_the_same_cut_out_only(tiny_file, capsys):
     assert main(["split", "tiny.h5", "--quality", "expert"]) == 1
     assert "split would replace another file" in capsys.readouterr().err
     assert Path("tiny-expert.h5").read_bytes() == before
+
+
+def test_two_calls_of_add_slice_at_once_are_both_in_the_file(tiny_file, monkeypatch):
+    def add(name: str) -> Callable[[], Any]:
+        return lambda: add_slice(tiny_file, name, [0], {})
+
+    with meeting(monkeypatch, add("mine"), add("yours")) as (one, two):
+        one.result(), two.result()
+    assert {"mine", "yours"} <= set(open_dataset(tiny_file).slices)
+
+
+def test_a_slice_is_chosen_in_the_file_it_goes_into(tiny_file, monkeypatch):
+    """Another file took its place between the first look and the hold."""
+    few = cut_file(open_dataset(tiny_file), Cut(quality="expert"), tiny_file.with_name("few.h5"))
+    holding = split_module.holding
+
+    def late(path: Path, **options: Any) -> Any:
+        if few.path.exists():
+            few.path.replace(tiny_file)
+        return holding(path, **options)
+
+    monkeypatch.setattr(split_module, "holding", late)
+    split(str(tiny_file), Cut(quality="expert"), name="all")
+    found = open_dataset(tiny_file)
+    assert found.slices["all"].tolist() == list(range(found.num_episodes))
