@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -83,10 +84,13 @@ def tree_seal(tree: Tree) -> str:
         kind = "Group" if array is None else "Dataset"
         whole.update(canonical_json([name, kind, _attributes(tree, path)]))
         if array is not None:
-            whole.update(canonical_json([str(array.dtype), list(array.shape)]))
+            whole.update(canonical_json([_dtype_name(array.dtype), list(array.shape)]))
             if not _DIGESTED.fullmatch(path):
                 whole.update(_content(array.values))
     return whole.hexdigest()
+
+
+_dtype_name = lru_cache(maxsize=64)(str)  # numpy takes its time
 
 
 def _attributes(tree: Tree, path: str) -> list[list[str]]:

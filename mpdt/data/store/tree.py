@@ -83,6 +83,7 @@ class Tree:
         self.groups: dict[str, h5g.GroupID] = {"": h5g.open(file.id, b"/")}
         self.arrays: dict[str, Array] = {}
         self.odd: dict[str, list[str]] = {}
+        self._attributes: dict[str, dict[str, Any]] = {}
         self._seen = {int(h5o.get_info(self.groups[""]).addr): "/"}
         self._walk("", self.groups[""])
 
@@ -122,17 +123,19 @@ class Tree:
                 if path.startswith(start) and "/" not in path.removeprefix(start)]  # fmt: skip
 
     def attributes(self, path: str) -> dict[str, Any]:
-        """Of a group or an array, by name in alphabetical order.
+        """Of a group or an array, by name in alphabetical order; read once.
 
         Raises: FormatError for one that is no number, short list of numbers or text.
         """
-        item = self.groups[path] if path in self.groups else self.arrays[path].id
-        found = {}
-        for index in range(h5a.get_num_attrs(item)):
-            attribute = h5a.open(item, index=index)
-            name = _plain(attribute.name)
-            found[name] = _attribute(attribute, f"attribute '{name}' of /{path}", self.where)
-        return dict(sorted(found.items()))
+        if path not in self._attributes:
+            item = self.groups[path] if path in self.groups else self.arrays[path].id
+            found = {}
+            for index in range(h5a.get_num_attrs(item)):
+                attribute = h5a.open(item, index=index)
+                name = _plain(attribute.name)
+                found[name] = _attribute(attribute, f"attribute '{name}' of /{path}", self.where)
+            self._attributes[path] = dict(sorted(found.items()))
+        return self._attributes[path]
 
     def text(self, group: str, key: str) -> str:
         """What `layout.write_text` stored.
@@ -140,13 +143,10 @@ class Tree:
         Raises: FormatError where there is neither attribute nor array; UnicodeError.
         """
         path = f"{group}/{key}".lstrip("/")
-        item = self.groups[group] if group in self.groups else self.arrays[group].id
-        if h5a.exists(item, key.encode()):
-            attribute = h5a.open(item, key.encode())
-            value = _attribute(attribute, f"attribute '{key}' of /{group}", self.where)
-        elif path in self.arrays and self.arrays[path].shape == ():
+        value = self.attributes(group).get(key)
+        if value is None and path in self.arrays and self.arrays[path].shape == ():
             value = self.arrays[path].values
-        else:
+        if value is None:
             raise FormatError(f"attribute '{key}' of /{group} is missing", where=self.where,
                               hint="the file is damaged or foreign; take another copy")  # fmt: skip
         return value.decode("utf-8") if isinstance(value, bytes) else str(value)
@@ -218,14 +218,14 @@ class Tree:
     def _check_array(self, array: Array, stream: BinaryIO, size_bytes: int) -> int:
         """Bytes that it takes. Raises: FormatError."""
         plan, kind = array.id.get_create_plist(), array.id.get_type()
-        if plan.get_layout() == h5d.VIRTUAL:
+        if (layout_class := plan.get_layout()) == h5d.VIRTUAL:
             raise self._refused(array.path, "is put together from other arrays (virtual)")
         if plan.get_external_count():
-            raise self._refused(array.path, "is in another file", str(plan.get_external(0)[0]))
-        if plan.get_layout() != h5d.CONTIGUOUS or plan.get_nfilters():
+            raise self._refused(array.path, "is in another file", _plain(plan.get_external(0)[0]))
+        if layout_class != h5d.CONTIGUOUS:  # only chunks can have filters
             raise self._refused(array.path, "is not contiguous")
-        is_text = kind.get_class() == h5t.STRING and kind.is_variable_str()
-        if not is_text and kind.get_class() not in _NUMBERS:
+        is_text = (type_class := kind.get_class()) == h5t.STRING and kind.is_variable_str()
+        if not is_text and type_class not in _NUMBERS:
             raise self._refused(array.path, "is neither numbers nor text", str(array.dtype))
         if not (nbytes := array.nbytes):
             return 0

@@ -35,9 +35,10 @@ from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.layout import ROLE_CODES
 from mpdt.data.store.licence import combined
+from mpdt.data.store.origin import damaged_hint
 from mpdt.data.verify.finding import Fault, Finding, fault, judge
 from mpdt.data.verify.material import Material
-from mpdt.errors import MpdtError, quoted
+from mpdt.errors import MpdtError
 
 ID = "claims"
 TOLERANCE = 1e-9
@@ -69,8 +70,7 @@ def check_claims(material: Material, lock: tuple[str, LockEntry | None] | None) 
     )  # fmt: skip
     if unproven:
         text += f"; {unproven} references were measured when it was collected{locked}"
-    hint = f"mpdt-data collect {quoted(data.name)} makes it again; or take another copy"
-    return judge(ID, faults, text, hint)
+    return judge(ID, faults, text, damaged_hint(material.path) if faults else "")
 
 
 def _env_faults(data: Dataset) -> Iterator[Fault]:
