@@ -7,12 +7,15 @@ import hashlib
 import os
 import shutil
 from pathlib import Path
+from typing import BinaryIO
 
 
-def sha256(path: Path) -> str:
-    """Of a whole file, in hexadecimal. Raises: OSError."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def sha256(file: Path | BinaryIO) -> str:
+    """Of a whole file, in hexadecimal; of an open one from where it stands. Raises: OSError."""
+    if isinstance(file, Path):
+        with file.open("rb") as stream:
+            return sha256(stream)
+    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def sync(path: Path) -> None:

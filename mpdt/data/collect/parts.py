@@ -96,9 +96,12 @@ class PartsFolder:
             (self.path / "plan.json").unlink(missing_ok=True)
 
     def discard(self) -> None:
-        """Delete the folder if there is one and nobody is at work in it. Raises: BusyError."""
-        if self.path.is_dir():
-            with self.locked():
+        """Delete what a collector left that was killed just before it would have.
+
+        Raises: BusyError if somebody is at work; StorageError.
+        """
+        with holding(self.target, amends=True, wait_s=0):
+            if self.path.is_dir():
                 self.delete()
 
     def delete(self) -> None:

@@ -11,7 +11,7 @@ from mpdt.data.exchange.folder import refuse_existing
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.exchange.treatment import Rules
-from mpdt.disk import appearing
+from mpdt.disk import appearing, holding
 from mpdt.errors import UsageError, unknown_name
 
 
@@ -68,10 +68,11 @@ def write(name: str, selection: Selection, target: Path, link: bool = False) -> 
         raise unknown_name("format", name, writers, where="--to")
     if link and name != "minari":
         raise UsageError(f"{name} has no links", where="--link", hint="only minari has")
-    refuse_existing(target)
-    with appearing(target) as folder:
-        if link:
-            minari.write(selection, folder, link=True)
-        else:
-            writers[name](selection, folder)
+    with holding(target):
+        refuse_existing(target)
+        with appearing(target) as folder:
+            if link:
+                minari.write(selection, folder, link=True)
+            else:
+                writers[name](selection, folder)
     return FORMATS[name].lost

@@ -25,12 +25,14 @@ def fingerprint(dataset: Dataset) -> LockEntry:
     Sets that were added to the file, and that no collection would make, are not part of it.
     """
     added = {f"tta-{name}" for name in dataset.tta} - {f"tta-{n}" for n in _planned_sets(dataset)}
+    with dataset.source.open() as stream:
+        file_hash = sha256(stream)
     return LockEntry(
         version=dataset.version,
         hashes=Hashes(
             spec=dataset.spec_hash,
             content=dataset.content_hash,
-            file=sha256(dataset.path),
+            file=file_hash,
             tta=_planned_sets(dataset),
         ),
         size=Size(

@@ -45,6 +45,11 @@ class Source:
             raise _replaced(self.path)
         return stream
 
+    def expect_there(self) -> None:
+        """For who reads by path as well. Raises: StorageError if another file is there now."""
+        if Seen.at(self.path.resolve()) != self.seen:
+            raise _replaced(self.path)
+
 
 def _open_again(path: Path, seen: Seen) -> Source:
     """In another process. Raises: StorageError if it is another file now."""

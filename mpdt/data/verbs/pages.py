@@ -65,6 +65,7 @@ class Report(Options):
             chosen = self._chosen(facts)
             report = None if self.no_verify else verify(path, replay=self.replay, say=self.say)
             films, missing = self._films(facts, chosen)
+            data.source.expect_there()  # or the checks and films are of another file
             text = card_page(facts, locked, report, films, missing)
             write_page(target, text)
         self.print(
@@ -163,10 +164,14 @@ class View(Options):
                     check_replaceable(target)
             if self.png is not None:
                 self.say("film     6 frames")
-                write_png(self.png, data, shoot(self.file, [self.episode])[0])
+                (film,) = shoot(self.file, [self.episode])
+                data.source.expect_there()
+                write_png(self.png, data, film)
             if self.mp4 is not None:
                 length = int(data.episodes.length[self.episode])
                 frames, fps = clip_frames(length, get_family(data.family).step_s)
                 self.say(f"film     {frames} frames")
-                write_mp4(self.mp4, shoot(self.file, [self.episode], frames)[0], fps)
+                (film,) = shoot(self.file, [self.episode], frames)
+                data.source.expect_there()
+                write_mp4(self.mp4, film, fps)
         return [target for target in (self.png, self.mp4) if target is not None]

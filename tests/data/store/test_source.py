@@ -10,10 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mpdt.data.cli import main
+from mpdt.data.lock.fingerprint import fingerprint
 from mpdt.data.slices.cut import Cut, cut_file
 from mpdt.data.store import opening
 from mpdt.data.store.opening import opened
 from mpdt.data.store.reader import open_dataset, open_tta_rewards
+from mpdt.data.verbs import pages
 from mpdt.data.verify.verify import verify
 from mpdt.errors import StorageError
 
@@ -82,3 +85,29 @@ def test_errors_name_the_path(tmp_path):
     with pytest.raises(Exception) as caught:
         open_dataset(path)
     assert "/proc/" not in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_who_reads_by_path_as_well_is_told_of_another_file(replaced, capsys):
+    """A card whose checks would be of the other file is not written."""
+    path, other = replaced
+    data = open_dataset(path)
+    data.source.expect_there()
+    before, wanted = fingerprint(data), path.read_bytes()
+    other.replace(path)
+    with pytest.raises(StorageError, match="took its place"):
+        data.source.expect_there()
+    assert path.read_bytes() != wanted and fingerprint(data) == before
+
+
+def test_a_card_is_of_one_file(replaced, monkeypatch, capsys):
+    path, other = replaced
+    check = pages.Report._films
+
+    def late(self, facts, ids):
+        other.replace(path)
+        return check(self, facts, ids)
+
+    monkeypatch.setattr(pages.Report, "_films", late)
+    assert main(["report", str(path), "--film", "none", "--no-verify", "-o", "card.html"]) == 1
+    assert "another file took its place" in capsys.readouterr().err
+    assert not Path("card.html").exists()
