@@ -73,6 +73,7 @@ def test_stored_codes_never_change() -> None:
         "PRETRAINING": 10,
         "GOALS": 11,
         "REFERENCE_CONSTANT": 12,
+        "POLICY": 13,
     }
     assert [int(stream) for stream in Stream] == [0, 1, 2, 3]
 
