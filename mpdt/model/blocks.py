@@ -82,7 +82,7 @@ class Rotary:
     def project(self, block: Any, x: Tensor, newest: bool) -> tuple[Tensor, Tensor, Tensor]:
         own, seen = block.self_attn, block.input_layernorm(x)
         k, v = own.k_proj(seen), own.v_proj(seen)
-        q = in_company(own.q_proj, _newest(seen)) if newest else own.q_proj(seen)
+        q = in_company(own.q_proj, seen[:, -1:]) if newest else own.q_proj(seen)
         return _heads(q, own.head_dim), _heads(k, own.head_dim), _heads(v, own.head_dim)
 
     def rest(self, block: Any, x: Tensor, attended: Tensor) -> Tensor:
@@ -122,7 +122,7 @@ class Learned:
             asked: Tensor = x @ weight[:, :width] + bias[:width]
             return asked
 
-        q = in_company(ask, _newest(seen)) if newest else ask(seen)
+        q = in_company(ask, seen[:, -1:]) if newest else ask(seen)
         k, v = (seen @ weight[:, width:] + bias[width:]).chunk(2, dim=-1)
         return _heads(q, own.head_dim), _heads(k, own.head_dim), _heads(v, own.head_dim)
 
@@ -154,13 +154,15 @@ def filled(rows: int) -> Tensor:
 
 
 def in_company(compute: Callable[..., Any], *rows: Tensor) -> Any:
-    """`compute` of tensors of as many rows each; few are filled up with copies meanwhile.
+    """`compute` of tensors (B, ..., s); few vectors are filled up with copies meanwhile.
 
-    So a row comes out alone as it does among a hundred, to the bit.
+    So a row comes out alone as it does among a hundred, to the bit. Slices are copied: of those
+    torch makes a product for each row, with weights copied for each.
     """
-    count = len(rows[0])
-    if count >= LEAST_ROWS:
+    rows = tuple(one.contiguous() for one in rows)
+    if rows[0].shape[:-1].numel() >= LEAST_ROWS:
         return compute(*rows)
+    count = len(rows[0])
     found = compute(*(one[filled(count)] for one in rows))
     return found[:count] if isinstance(found, Tensor) else tuple(one[:count] for one in found)
 
@@ -192,11 +194,6 @@ def attend(
         weights = weights.masked_fill(unseen, float("-inf"))
     gathered = weights.softmax(dim=-1) @ values
     return rearrange(gathered, "B G (r Q) d -> B Q (G r d)", Q=queries.shape[2])
-
-
-def _newest(x: Tensor) -> Tensor:
-    """The last token alone; copied, or torch multiplies by a copy of the weights per row."""
-    return x[:, -1:].contiguous()
 
 
 def _heads(x: Tensor, width: int) -> Tensor:

@@ -185,21 +185,21 @@ def test_in_bfloat16_as_near_to_float32_as_the_whole_window(shape: str, depth: i
 def test_a_row_acts_the_same_to_the_bit_whatever_else_is_there(
     any_backbone: Backbone, tokens_per_step: int, dtype: Any
 ) -> None:
-    """Alone, or beside others that begin at other times."""
+    """Alone, by two and by five, or beside 36 others that begin at other times."""
     name, depth = any_backbone.name, any_backbone.num_layers
     policy = make(load_backbone(name, depth, dtype, seed=3), tokens_per_step=tokens_per_step)
-    prompts, targets = numbers(2, LENGTH, any_backbone.width), np.array([2.0, 3.5, -1.0])
-    live = live_through(ClosedLoop(policy, prompts, INDEX, K, TABLE), targets, begins=APART)
-    for row in range(3):
-        alone = ClosedLoop(policy, prompts, INDEX[row : row + 1], K, TABLE)
-        alone.reset(targets[row : row + 1])
-        for t in range(STEPS):
-            action = alone.act(
-                live["observations"][row : row + 1, t],
-                live["rewards"][row : row + 1, t - 1] if t else None,
-                live["starts"][row : row + 1, t],
-            )
-            assert np.array_equal(action[0], live["actions"][row, t]), (row, t)
+    prompts, index = numbers(2, LENGTH, any_backbone.width), torch.arange(37) % 2
+    seen, rewards = numbers(STEPS, 37, D).numpy(), numbers(STEPS, 37, seed=1).numpy()
+    starts = np.array([[t == 0 or t == row % 11 for row in range(37)] for t in range(STEPS)])
+
+    def acted(rows: slice) -> np.ndarray:
+        loop = ClosedLoop(policy, prompts, index[rows], K, TABLE)
+        steps = zip(seen[:, rows], rewards[:, rows], starts[:, rows], strict=True)
+        return np.stack([loop.act(*step) for step in steps], axis=1)
+
+    together = acted(slice(None))
+    for rows in (slice(0, 1), slice(5, 6), slice(36, 37), slice(8, 10), slice(20, 25)):
+        assert np.array_equal(acted(rows), together[rows]), rows
 
 
 def test_many_rows_go_through_in_parts(
