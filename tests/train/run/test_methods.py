@@ -1,5 +1,6 @@
 """Every method of the table runs on the shared parts, and differs where it should."""
 
+import itertools
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -179,6 +180,34 @@ def test_a_donor_is_chosen_by_all_training_tasks(tiny_file, tmp_path, monkeypatc
     run(merged(tiny("Prompt-DT"), {"sampler": {"tasks_per_update": 1}}), tiny_file, tmp_path)
     both = sorted(load_material(str(tiny_file), "expert").train_rows)
     assert len(both) == 2 and drawn.count(both) >= unseen.DONOR_BATCHES
+
+
+def test_the_donor_is_the_task_whose_demonstration_imitates_best(tiny_file, tmp_path, monkeypatch):
+    """Of the two tasks' demonstrations the second one's loss is half the first one's."""
+    losses, chosen, real = itertools.cycle([2.0, 1.0]), [], unseen.AdaptedPrompts
+
+    def watched(trained, start, n, weights=None, seed=0):
+        chosen.append(weights)
+        return real(trained, start, n, weights, seed)
+
+    monkeypatch.setattr(unseen, "action_loss", lambda *_: torch.tensor(next(losses)))
+    monkeypatch.setattr(unseen, "AdaptedPrompts", watched)
+    run(merged(tiny("Prompt-DT"), {"few_shot": {"demonstration": False}}), tiny_file, tmp_path)
+    assert [weights.tolist() for weights in chosen] == [[[0, 1], [0, 1]]]
+
+
+def test_demonstrations_are_not_mixed_whatever_is_asked(tiny_file, tmp_path, monkeypatch):
+    asked, real = [], unseen.explain
+
+    def watched(model, x, tasks):
+        asked.append(tasks)
+        return real(model, x, tasks)
+
+    monkeypatch.setattr(unseen, "explain", watched)
+    for method in ("Prompt-DT-infer", "MPDT-mixed"):
+        changes = {"adapt": {"starts": ["infer"], "infer": {"tasks": 2}}}
+        run(merged(tiny(method), changes), tiny_file, tmp_path / method)
+    assert asked == [1, 1, 2, 2]
 
 
 def test_a_teacher_of_no_updates_still_teaches(tiny_file, tmp_path):
