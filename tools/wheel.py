@@ -93,7 +93,7 @@ def try_it(programs: Path, place: Path) -> None:
         ([data, "list"], "cheetah_dir"),
         ([data, "info"], "a wheel"),
         ([data, "collect", "cheetah_dir", "--smoke", "--workers", "0", "-q"], "packed"),
-        ([data, "verify", "cheetah_dir-smoke.h5", "--replay", "1"], "11 passed"),
+        ([data, "verify", "cheetah_dir-smoke.h5", "--replay", "1"], "12 passed"),
         ([data, "plan", "ml10"], "ml10 2"),  # rates and references of Meta-World
         ([programs / "mpdt-train", "--help"], "mpdt-train"),
         ([programs / "python", "-m", "mpdt.data.cli", "--version"], "mpdt "),
