@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace as replace_holder
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.store.amend import add_slice
 from mpdt.data.store.reader import open_dataset
 from mpdt.disk import replace
+from mpdt.disk.holder import Holder
 from mpdt.errors import BusyError, DataError
 
 
@@ -230,3 +232,20 @@ def test_a_slice_is_chosen_in_the_file_it_goes_into(tiny_file, monkeypatch):
     split(str(tiny_file), Cut(quality="expert"), name="all")
     found = open_dataset(tiny_file)
     assert found.slices["all"].tolist() == list(range(found.num_episodes))
+
+
+@pytest.mark.parametrize("refused", ["export", "collect"])
+def test_who_has_nothing_to_do_sweeps_what_a_killed_one_left(tiny_file, refused, capsys):
+    """A kill between the last rename and giving the hold back, or while it finds it is too late."""
+    target = tiny_file if refused == "collect" else tiny_file.with_name("ex")
+    if refused == "export":
+        assert main(["export", str(tiny_file), "--to", "npz", "-o", "ex", "-q"]) == 0
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    me = replace_holder(Holder.me(), pid=dead.pid)
+    (target.parent / f".{target.name}.lock").write_bytes(me.encoded())
+    (target.parent / f".{target.name}.{me.token}.tmp").write_text("half")
+    words = {"export": ["export", str(tiny_file), "--to", "npz", "-o", "ex"],
+             "collect": ["collect", "tiny", "--workers", "0", "-o", str(tiny_file)]}  # fmt: skip
+    assert main(words[refused]) == (1 if refused == "export" else 0)
+    assert not [name for name in names(target.parent) if name.startswith(".")]
