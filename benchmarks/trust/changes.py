@@ -242,3 +242,40 @@ def in_metadata(path: Path, random: Random) -> None:
 def _one(folder: Path, name: str, random: Random) -> str:
     found = sorted(path.relative_to(folder).as_posix() for path in folder.rglob(name))
     return found[int(random.integers(len(found)))]
+
+
+def in_bytes(path: Path, random: Random) -> None:
+    path.write_bytes(change_bytes(path.read_bytes(), random))
+
+
+def in_any_json(path: Path, random: Random) -> None:
+    """As `in_json`, of a text that may be anything already."""
+    path.write_text(change_value([path.read_text(), 5000, None], random), errors="surrogatepass")
+
+
+def in_judged(path: Path, random: Random) -> None:
+    """An earlier judgement; what the run has cost is not known otherwise."""
+    (path / "spent.json").unlink()
+    in_json(f"judged/{'0' * 16}.json")(path, random)
+
+
+def in_parquet(path: Path, random: Random) -> None:
+    """The manifest in the metadata of a table."""
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    manifest = json.loads(table.schema.metadata[b"mpdt"])
+    text = change_value(manifest, random).encode(errors="surrogatepass")
+    pq.write_table(table.replace_schema_metadata({b"mpdt": text}), path)
+
+
+def in_config(path: Path, random: Random) -> None:
+    """A goal, or an episode, of a folder of pickles."""
+    files = sorted(path.rglob("*.pkl"))
+    chosen = files[int(random.integers(len(files)))]
+    if "config" not in chosen.name:
+        in_pickle(chosen, random)
+        return
+    odd = [None, [], [{}], [{"direction": "x"}], [{"direction": 1e400}], {"direction": 1}, 10**400,
+           [{"direction": np.zeros((0,))}], [{"direction": [[1.0]]}], [[1.0]]]  # fmt: skip
+    chosen.write_bytes(pickle.dumps(odd[int(random.integers(len(odd)))], protocol=4))

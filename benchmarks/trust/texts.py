@@ -1,11 +1,14 @@
 """Change every text that is read; each change is one clear error or read as what it says.
 
     python benchmarks/trust/texts.py [--mutations 2000] [--seed 0] [--only KIND] [--json FILE]
+                                     [--light]
 
-entries, locks, settings, results, metrics, cells, manifests of exports, attributes of dataset files
-(under a new seal, as somebody would who means it), headers of weights, pickles as data. What is
-changed: types, nesting, sizes, Unicode, NUL, twice, missing, huge numbers. Every text is then read
-by the commands that a user would type, each in a process of its own:
+entries, locks, settings, results, metrics, cells, bundles, manifests of exports, attributes of
+dataset files (under a new seal, as somebody would who means it), headers of weights, sums and notes
+of transfers, measured books, notes of who holds what, pickles as data. What is changed: types,
+nesting, sizes, Unicode, NUL, twice, missing, huge numbers. Every text is then read by the commands
+that a user would type, each in a process of its own. --light leaves out what trains or simulates
+and takes a stored run; it is what `make test` does.
 
     error     one line `error: ...` and the exit code of its class
     read      exit code 0
@@ -35,6 +38,8 @@ import changes
 import numpy as np
 from fuzz import originals
 
+import mpdt.data.weights
+
 HANG_S, MOST_BYTES = 10, 1 << 30  # of processor time, so that a busy machine hangs nothing
 STOPPED_S = 90
 RUN = "--data tiny.h5 --preset smoke --name run --threads 1 --quiet --evaluation.horizon 2"
@@ -53,19 +58,23 @@ class Text:
     path: str
     change: Callable[[Path, np.random.Generator], None]
     commands: tuple[str, ...]
+    heavy: tuple[str, ...] = ()
+    """Commands that train, act or simulate."""
 
 
 READ = ("data show {}", "data verify {} --skip replay", "data split {} --quality expert -o out.h5",
-        "data export {} --to npz -o out", "data report {} -o out.html", "data diff {} tiny.h5",
-        "train --data {} --preset smoke --name new --threads 1 --teacher.steps 1 "
-        "--multitask.steps 1 --adapt.starts none --evaluation.horizon 2")  # fmt: skip
+        "data export {} --to npz -o out", "data diff {} tiny.h5")  # fmt: skip
+LEARN = ("data report {} -o out.html",
+         "train --data {} --preset smoke --name new --threads 1 --teacher.steps 1 "
+         "--multitask.steps 1 --adapt.starts none --evaluation.horizon 2")  # fmt: skip
+JUDGE = "train evaluate runs/run --data tiny.h5 --evaluation.horizon 2 --evaluation.episodes 1"
 TEXTS: dict[str, Text] = {
     "datasets.yaml": Text("datasets.yaml", changes.in_yaml, ("data list", "data plan tiny",
                                                      "data lock --check")),
     "datasets.lock": Text("datasets.lock", changes.in_yaml, ("data lock --check",
                                                      "data verify tiny.h5 --locked --only hash")),
-    "attributes of a dataset file": Text("tiny.h5", changes.in_attributes, READ),
-    "texts in tables of a dataset file": Text("tiny.h5", changes.in_texts, READ),
+    "attributes of a dataset file": Text("tiny.h5", changes.in_attributes, READ, LEARN),
+    "texts in tables of a dataset file": Text("tiny.h5", changes.in_texts, READ, LEARN),
     "manifest of an npz export": Text("ex-npz/tiny.npz", changes.in_npz,
                                       ("data import {} --from npz -o out.h5",)),
     "metadata of a minari export": Text(
@@ -75,30 +84,96 @@ TEXTS: dict[str, Text] = {
     "pickle": Text("expert.pkl", changes.in_pickle,
                    ("data import {} --from promptdt --family cheetah_dir -o out.h5",)),
     "results of a run": Text("runs/run", changes.in_json("results.json"),
-                             ("train report runs/run", "train " + RUN,
-                              "train report runs/run --html out.html")),
+                             ("train report runs/run", "train report runs/run --html out.html"),
+                             ("train " + RUN, JUDGE)),
+    "an earlier judgement": Text("runs/run", changes.in_judged, (), (JUDGE,)),
+    "what a run has cost": Text("runs/run/spent.json", changes.in_json(), (), (JUDGE,)),
     "settings of a run": Text("runs/run", changes.in_json("config.json"),
-                              ("train " + RUN, "train evaluate runs/run --evaluation.horizon 2",
-                               "train report runs/run --html out.html")),
+                             ("train evaluate runs/run --data tiny.h5 --threads 0",
+                              "train --data tiny.h5 --preset smoke --name run --seed 1"),
+                             ("train " + RUN, JUDGE)),
     "metrics of a run": Text("runs/run/metrics.jsonl", changes.in_lines,
                              ("train report runs/run --html out.html",)),
     "header of weights": Text("runs/run/weights.safetensors", changes.in_header,
-                              ("train evaluate runs/run --restart --evaluation.horizon 2",
-                               "train report runs/run --html out.html")),
+                              ("train report runs/run --html out.html",), (JUDGE,)),
+    "configuration of a bundle": Text(
+        "runs/run/policy", changes.in_json("config.json"), (),
+        ("train rollout runs/run/policy -o rolled.h5 --episodes 1 --workers 0 --tasks forward",)),
+    "metadata of a parquet export": Text("ex-parquet/episodes.parquet", changes.in_parquet,
+                                         ("data import ex-parquet --from parquet -o out.h5",)),
+    "goals and prompts in pickles": Text(
+        "ex-promptdt", changes.in_config,
+        ("data import {} --from promptdt --family cheetah_dir --horizon 6 -o out.h5",)),
+    "sums beside what was sent": Text("sent/tiny.h5.sha256", changes.in_bytes,
+                                      ("data pull sent/tiny.h5 -o back.h5",)),
+    "sums of a folder": Text("sent-folder/SHA256SUMS", changes.in_bytes,
+                             ("data pull sent-folder/ -o back",)),
+    "note of an interrupted transfer": Text("back.h5.part.json", changes.in_any_json,
+                                            ("data pull sent/tiny.h5 -o back.h5",)),
+    "who holds a file": Text(".out.h5.lock", changes.in_json(),
+                             ("data split tiny.h5 --quality expert -o out.h5",)),
+    "plan of an unfinished collection": Text("tiny2.h5.parts/plan.json", changes.in_json(), (),
+                                             ("data collect tiny -o tiny2.h5 --workers 0",)),
+    "rates of one's own": Text("metaworld.calibration.json", changes.in_json(),
+                               ("data plan ml10", "data list")),
+    "references of one's own": Text("references.json", changes.in_json(),
+                                    ("data plan tiny", "data list")),
     "cell of a study": Text("cells/cell.json", changes.in_json(), ("train report cells",
                                                            "train report cells -o out")),
 }  # fmt: skip
 
 
-def prepare(folder: Path, cell: Path) -> None:
-    """The originals: a dataset, exports, a run, a cell of a study."""
+def prepare(folder: Path, results: Path, light: bool) -> None:
+    """The originals: a dataset, exports, a run, a cell of a study, and what lies beside them.
+
+    Args:
+        results: the stored ones.
+        light: the run is a stored one.
+    """
+    import torch
+
+    from mpdt.model.weights import WeightsHeader, save_weights
+    from mpdt.train.run.folder import FORMAT
+    from mpdt.train.run.identity import JUDGING, plain_settings
+    from mpdt.train.run.presets import smoke
+
     originals(folder)
     os.chdir(folder)
-    for kind in ("npz", "minari"):
+    for kind in ("npz", "minari", "parquet", "promptdt"):
         assert call(f"data export tiny.h5 --to {kind} -o ex-{kind}")[0] == 0
-    assert call("train " + RUN)[0] == 0
+    if light:
+        shutil.copytree(results / "runs/cheetah_vel-infer", folder / "runs/run")
+        prompts = {"prompts.cross": torch.ones(3, 4), "prompts.task_v": torch.ones(2, 3, 1),
+                   "prompts.task_u": torch.ones(2, 1, 4)}  # fmt: skip
+        save_weights(folder / "runs/run/weights.safetensors", prompts, WeightsHeader(kind="mpdt"))
+        plain = plain_settings(smoke())
+        judging = {name: plain.pop(name) for name in JUDGING}
+        facts = {"format": FORMAT, "training": plain | {"data": {"slice": None}},
+                 "judging": judging | {"data": {}}}  # fmt: skip
+        (folder / "runs/run/config.json").write_text(json.dumps(facts))
+    else:
+        assert call("train " + RUN)[0] == 0
+        judged = folder / "runs/run/judged"
+        judged.mkdir(exist_ok=True)
+        shutil.copy(folder / "runs/run/results.json", judged / f"{'0' * 16}.json")
     (folder / "cells").mkdir()
-    shutil.copy(cell, folder / "cells/cell.json")
+    shutil.copy(results / "studies/one-block/cheetah_dir.MPDT-E.s0.json", "cells/cell.json")
+    assert call("data push tiny.h5 sent/")[0] == 0
+    assert call("data push ex-npz sent-folder")[0] == 0
+    (folder / "back.h5.part").write_bytes((folder / "tiny.h5").read_bytes()[:5000])
+    (folder / "back.h5.part.json").write_text('["a source", 5000, null]')
+    holder = {"format": "mpdt-lock/1", "pid": 2**22 - 1, "host": "elsewhere", "start": "x",
+              "since": "2026-01-01", "command": "mpdt-data split", "token": "0" * 16}  # fmt: skip
+    (folder / ".out.h5.lock").write_text(json.dumps(holder) + "\n")
+    (folder / "tiny2.h5.parts/blocks").mkdir(parents=True)
+    (folder / "tiny2.h5.parts/plan.json").write_text(
+        json.dumps({"spec": {"name": "tiny"}, "n": [1]})
+    )
+    weights = Path(mpdt.data.weights.__path__[0])
+    for shipped, own in (("metaworld.json", "metaworld.calibration.json"),
+                         ("references.json", "references.json")):  # fmt: skip
+        book = json.loads((weights / shipped).read_text())
+        (folder / own).write_text(json.dumps(book | {"entries": book["entries"][:2]}))
 
 
 def call(command: str) -> tuple[int, str]:
@@ -158,13 +233,26 @@ def judge(code: int, text: str) -> str:
     return "error"
 
 
-def run(mutations: int, seed: int, only: str, cell: Path) -> dict[str, dict[str, int]]:
+def warm(whole: Path, copy: Path, kinds: Sequence[str]) -> None:
+    """Import what the commands need here, where every child has it from."""
+    shutil.copytree(whole, copy)
+    os.chdir(copy)
+    for command in dict.fromkeys(c.format(TEXTS[k].path) for k in kinds for c in TEXTS[k].commands):
+        call(command)
+
+
+def run(
+    mutations: int, seed: int, only: str, results: Path, light: bool
+) -> dict[str, dict[str, int]]:
     table: dict[str, Counter[str]] = {}
     with tempfile.TemporaryDirectory() as name:
         whole, copy = Path(name).resolve() / "whole", Path(name).resolve() / "copy"
         whole.mkdir()
-        prepare(whole, cell)
-        kinds = [kind for kind in TEXTS if only in kind]
+        prepare(whole, results, light)
+        kinds = [kind for kind in TEXTS if only in kind and (TEXTS[kind].commands or not light)]
+        if light:
+            os.fsync = lambda handle: None  # nobody pulls the plug
+        warm(whole, copy, kinds)
         for number in range(mutations):
             random = np.random.Generator(np.random.PCG64([seed, number]))
             kind = kinds[number % len(kinds)]
@@ -174,7 +262,8 @@ def run(mutations: int, seed: int, only: str, cell: Path) -> dict[str, dict[str,
             shutil.copytree(whole, copy)
             os.chdir(copy)
             text.change(copy / text.path, random)
-            command = text.commands[int(random.integers(len(text.commands)))].format(text.path)
+            commands = text.commands if light else text.commands + text.heavy
+            command = commands[int(random.integers(len(commands)))].format(text.path)
             outcome = read_apart(command)
             table.setdefault(kind, Counter())[outcome] += 1
             if outcome not in ("error", "read"):
@@ -190,14 +279,14 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--mutations", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="")
+    parser.add_argument("--light", action="store_true")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args(words)
     target = arguments.json.resolve() if arguments.json else None
-    cells = Path(__file__).resolve().parents[2] / "results/studies/one-block"
+    results = Path(__file__).resolve().parents[2] / "results"
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     began = time.monotonic()
-    table = run(arguments.mutations, arguments.seed, arguments.only,
-                cells / "cheetah_dir.MPDT-E.s0.json")  # fmt: skip
+    table = run(arguments.mutations, arguments.seed, arguments.only, results, arguments.light)
     print(json.dumps(table, indent=1))
     if target:
         result = {"mutations": arguments.mutations, "seed": arguments.seed,
