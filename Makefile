@@ -5,9 +5,9 @@
 # make bench   measure every path beside its limit and its peers, under 15 minutes on an idle
 #              machine; writes results/bench/*.json and docs/performance.md. BENCH=--keep skips
 #              scripts whose results are newer than the code
-# make trust   100 kills, 1,000 pairs of writers, 10,000 bit flips, 1,000 mutations, all locked
-#              files made again, Ray: under two hours on two cores; writes results/trust/*.json and
-#              docs/trust.md
+# make trust   100 kills, 1,000 pairs of writers, 10,000 bit flips, 1,000 mutations, 2,000 changed
+#              texts, all locked files made again, Ray: about three hours on two cores; writes
+#              results/trust/*.json and docs/trust.md
 # make ecosystem   exports read by the packages they are made for, in build/ecosystem; writes
 #              results/ecosystem.json and docs/ecosystem.md
 # make results tables and pictures under docs/results, from the cells in results/studies/one-block
@@ -79,6 +79,7 @@ trust: .venv/ready
 	$(BIN)/python benchmarks/trust/writers.py --json results/trust/writers.json
 	$(BIN)/python benchmarks/trust/fuzz.py --json results/trust/fuzz.json
 	$(BIN)/python benchmarks/trust/limits.py --json results/trust/limits.json
+	$(BIN)/python benchmarks/trust/texts.py --json results/trust/texts.json
 	$(BIN)/python benchmarks/trust/bundles.py --json results/trust/bundles.json
 	$(BIN)/python benchmarks/trust/clusters.py --json results/trust/clusters.json
 	$(BIN)/pytest -m slow tests/data/lock/test_locked_rebuild.py

@@ -233,6 +233,17 @@ def judge(code: int, text: str) -> str:
     return "error"
 
 
+def copy_needed(whole: Path, copy: Path, said: str) -> None:
+    """What a command is about: what it or the text's path names, and what is always looked at."""
+    words = [word.partition("/")[0] for word in said.split()]
+    copy.mkdir()
+    for path in whole.iterdir():
+        always = path.name in ("tiny.h5", "datasets.yaml", "datasets.lock")
+        if not always and not any(word.startswith(path.name) for word in words):
+            continue
+        (shutil.copytree if path.is_dir() else shutil.copy)(path, copy / path.name)
+
+
 def warm(whole: Path, copy: Path, kinds: Sequence[str]) -> None:
     """Import what the commands need here, where every child has it from."""
     shutil.copytree(whole, copy)
@@ -257,13 +268,13 @@ def run(
             random = np.random.Generator(np.random.PCG64([seed, number]))
             kind = kinds[number % len(kinds)]
             text = TEXTS[kind]
-            os.chdir(name)
-            shutil.rmtree(copy, ignore_errors=True)
-            shutil.copytree(whole, copy)
-            os.chdir(copy)
-            text.change(copy / text.path, random)
             commands = text.commands if light else text.commands + text.heavy
             command = commands[int(random.integers(len(commands)))].format(text.path)
+            os.chdir(name)
+            shutil.rmtree(copy, ignore_errors=True)
+            copy_needed(whole, copy, f"{text.path} {command}")
+            os.chdir(copy)
+            text.change(copy / text.path, random)
             outcome = read_apart(command)
             table.setdefault(kind, Counter())[outcome] += 1
             if outcome not in ("error", "read"):

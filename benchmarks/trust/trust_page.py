@@ -101,6 +101,23 @@ def fuzz(found: dict[str, Any]) -> str:
     )
 
 
+def texts(found: dict[str, Any]) -> str:
+    rows = []
+    for what, counts in found["texts"].items():
+        refused, read = counts.get("error", 0), counts.get("read", 0)
+        total = sum(counts.values())
+        rows.append([what, total, refused, read, total - refused - read])
+    return (
+        "\n## Texts that are read\n\n"
+        f"`python benchmarks/trust/texts.py`: {found['mutations']:,} changes of texts and tables "
+        "(types, nesting, sizes, Unicode, NUL, twice, missing, huge numbers), those in data files "
+        "under a new seal, each read by a command that a user would type. error = one clear error "
+        "with the exit code of its class; read = exit code 0; else = a traceback, another code, "
+        "over 10 s of processor time, over 1 GB, or no word.\n\n"
+        + markdown_table(["text", "changes", "error", "read", "else"], rows)
+    )
+
+
 def clusters(found: dict[str, Any]) -> str:
     rows = [
         [name, f"`{one['content'][:12]}`", one.get("killed_after_blocks", "-"), one["seconds"]]
@@ -169,6 +186,7 @@ def page(folder: Path) -> str:
         "writers": writers,
         "limits": limits,
         "fuzz": fuzz,
+        "texts": texts,
         "clusters": clusters,
         "mutants": mutants,
     }

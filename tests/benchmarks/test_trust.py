@@ -55,3 +55,12 @@ def test_a_declared_size_costs_nothing(tmp_path: Path) -> None:
 def test_every_small_input_that_announces_much(tmp_path: Path) -> None:
     rows = run("limits.py", tmp_path / "x.json")
     assert len(rows) > 20 and not [row for row in rows if row["faults"]]
+
+
+@pytest.mark.long
+def test_two_hundred_changes_of_texts(tmp_path: Path) -> None:
+    found = run("texts.py", tmp_path / "x.json", "--light", "--mutations", "200", "--seed", "4")
+    counts = found["texts"]
+    assert sum(sum(row.values()) for row in counts.values()) == found["mutations"] == 200
+    assert len(counts) >= 20 and all(set(row) <= {"error", "read"} for row in counts.values())
+    assert sum(row.get("error", 0) for row in counts.values()) > 60, "most changes are refused"
