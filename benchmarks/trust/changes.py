@@ -197,10 +197,7 @@ def in_npz(path: Path, random: Random) -> None:
     name = next(name for name in members if name.startswith("mpdt"))
     array = np.load(io.BytesIO(members[name]), allow_pickle=False)
     raw = array.tobytes() if array.dtype.kind in "uS" else str(array).encode()
-    try:
-        new = change_value(json.loads(raw), random).encode(errors="surrogatepass")
-    except ValueError:
-        new = change_bytes(raw, random)
+    new = change_manifest(raw, random)
     buffer = io.BytesIO()
     value = np.frombuffer(new, np.uint8) if array.dtype.kind == "u" else np.array(new)
     np.save(buffer, value.astype(array.dtype) if array.dtype.kind == "u" else value)
@@ -235,7 +232,31 @@ def in_pickle(path: Path, random: Random) -> None:
     path.write_bytes(pickle.dumps(episodes, protocol=int(random.integers(2, 6))))
 
 
+def change_manifest(raw: bytes, random: Random) -> bytes:
+    """The manifest of an export, in three of four cases under a new hash."""
+    from mpdt.data.exchange.manifest import _HASH, _hash_of
+
+    manifest = json.loads(raw)
+    del manifest[_HASH]
+    text = change_value(manifest, random)
+    try:
+        changed = json.loads(text)
+        if random.random() < 0.75 and isinstance(changed, dict):
+            text = text[:-1] + f', "{_HASH}": "{_hash_of(changed)}"}}'
+    except (ValueError, RecursionError):  # what has no hash needs no reading
+        pass
+    return text.encode(errors="surrogatepass")
+
+
 def in_metadata(path: Path, random: Random) -> None:
+    """One of the metadata files, or the manifest in all of them."""
+    if random.random() < 0.5:
+        files = sorted(path.rglob("metadata.json"))
+        manifest = change_manifest(json.loads(files[0].read_text())["mpdt"].encode(), random)
+        for file in files:
+            said = json.loads(file.read_text()) | {"mpdt": manifest.decode(errors="replace")}
+            file.write_text(json.dumps(said))
+        return
     in_json(_one(path, "metadata.json", random))(path, random)
 
 
@@ -264,8 +285,7 @@ def in_parquet(path: Path, random: Random) -> None:
     import pyarrow.parquet as pq
 
     table = pq.read_table(path)
-    manifest = json.loads(table.schema.metadata[b"mpdt"])
-    text = change_value(manifest, random).encode(errors="surrogatepass")
+    text = change_manifest(table.schema.metadata[b"mpdt"], random)
     pq.write_table(table.replace_schema_metadata({b"mpdt": text}), path)
 
 

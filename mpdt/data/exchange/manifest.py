@@ -69,7 +69,9 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
             hash = said.pop(_HASH, "")
             if hash and hash != _hash_of(said):
                 raise ValueError("its hash is that of another manifest")
-            return msgspec.convert(said | {"is_proven": bool(hash)}, cls, strict=False)
+            manifest = msgspec.convert(said | {"is_proven": bool(hash)}, cls, strict=False)
+            _check_numbers(manifest)
+            return manifest
         except (ValueError, TypeError, AttributeError) as error:
             raise FormatError("not an export of mpdt, or changed", where=where,
                               found=str(error)[:120],
@@ -89,6 +91,21 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         ours = [replace(task, env=env) for task, env in zip(tasks, envs, strict=True)]
         remarks = () if self.is_proven else (_UNPROVEN,)
         return Incoming(replace(header, tasks=ours), source, self.content_hash, remarks)
+
+
+def _check_numbers(manifest: Manifest) -> None:
+    """Raises: ValueError for a number that no file of ours has room for."""
+    header, most = manifest.header, 1 << 31
+    found = [header.observation_size, header.action_size]
+    for task in header.tasks:
+        found += [task.index, *(one.episodes for one in task.references.by_name.values())]
+    for policy in header.policies:
+        found += [policy.task, policy.rung, policy.train_step]
+    counts = (manifest.num_episodes, manifest.num_steps)
+    if wrong := [n for n in found if not -1 <= n < most] + [
+        n for n in counts if not 0 <= n < 1 << 53
+    ]:
+        raise ValueError(f"no file has room for the number {str(wrong[0])[:40]}")
 
 
 def _hash_of(said: dict[str, Any]) -> str:

@@ -37,8 +37,8 @@ from mpdt.data.exchange.selection import Run, Selection
 from mpdt.data.exchange.treatment import RawEpisode, Rules, check_length
 from mpdt.data.spec.env import describe_env
 from mpdt.data.spec.tasks import get_family
-from mpdt.data.store.sources import EpisodeSource
-from mpdt.errors import DataError, FormatError, UsageError
+from mpdt.data.store.sources import EpisodeSource, FileHeader
+from mpdt.errors import DataError, FormatError, ShapeError, UsageError
 from mpdt.reading import decode_json, read_plain, refuse_other
 from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
@@ -254,12 +254,16 @@ def _read_own(found: dict[Path, dict[str, Any]]) -> Incoming:
         raise FormatError("sets of several exports", where=where,
                           hint="import them one by one")  # fmt: skip
     manifest = Manifest.from_json(min(manifests), where)
-    entries = [e for folder, metadata in found.items() for e in _entries(folder, metadata)]
+    entries = [e for folder, metadata in found.items() 
+               for e in _entries(folder, metadata, manifest.header)]  # fmt: skip
     if len(entries) != manifest.num_episodes:
         raise DataError("not all sets of the export are there", where=where,
                         expected=f"{manifest.num_episodes} episodes", found=str(len(entries)),
                         hint="copy the missing ones, or give --family and --task to import "
                              "these as foreign data")  # fmt: skip
+    if (steps := sum(entry.num_steps for entry in entries)) != manifest.num_steps:
+        raise DataError("not the steps of the export", where=where,
+                        expected=str(manifest.num_steps), found=str(steps))  # fmt: skip
     rows = {task.name: row for row, task in enumerate(manifest.header.tasks)}
     try:
         entries.sort(key=lambda e: (rows[e.options["task"]], quality_code(e.options["quality"])))
@@ -280,16 +284,24 @@ class _Entry:
     path: Path
     number: int
     options: dict[str, Any]
+    num_steps: int
 
 
-def _entries(folder: Path, metadata: dict[str, Any]) -> Iterator[_Entry]:
+def _entries(folder: Path, metadata: dict[str, Any], header: FileHeader) -> Iterator[_Entry]:
+    """Raises: ShapeError before anything is reserved for arrays of other sizes."""
     path = folder / _MAIN
     with hdf5.opened(path) as file:
         _check_count(file, metadata, path)
         for number in range(metadata["total_episodes"]):
-            attributes = hdf5.member(file, f"episode_{number}", str(path)).attrs
-            options = {k.partition("/")[2]: v for k, v in attributes.items() if "options/" in k}
-            yield _Entry(path, number, options)
+            where = f"{path}: episode {number}"
+            group = hdf5.member(file, f"episode_{number}", where)
+            sizes = [hdf5.array(group, name, where, (0, 0)).shape[1:] for name in _STEPS[:3]]
+            wanted = [(header.observation_size,), (header.action_size,), ()]
+            if sizes != wanted:
+                raise ShapeError("arrays of other sizes than the export says", where=where,
+                                 expected=str(wanted), found=str(sizes))  # fmt: skip
+            options = {k.partition("/")[2]: v for k, v in group.attrs.items() if "options/" in k}
+            yield _Entry(path, number, options, len(group["rewards"]))
 
 
 def _own_episodes(

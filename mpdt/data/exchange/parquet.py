@@ -174,6 +174,7 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     table.check(manifest, where)
     if final.shape != (manifest.num_episodes, manifest.header.observation_size):
         raise FormatError("column final_observation is wrong", where=where)
+    _check_widths(folder, manifest.header)
     source = EpisodeSource(
         _episodes(folder, manifest, table, final), manifest.num_episodes, manifest.num_steps,
         table.source_ids(),
@@ -249,6 +250,22 @@ def _episodes(
             raise _damaged(where, error) from error
         found["observations"] = np.concatenate([found["observations"], final[i : i + 1]])
         yield table.episode(i, manifest, found)
+
+
+def _check_widths(folder: Path, header: FileHeader) -> None:
+    """Raises: FormatError before anything is reserved for vectors of another size."""
+    wanted = {"observation": header.observation_size, "action": header.action_size}
+    for path in sorted(folder.glob("data/*/*.parquet")):
+        try:
+            schema = _schema(path)
+            found = {name: int(schema.field(name).type.list_size) for name in wanted}
+        except (*_DAMAGE, AttributeError) as error:
+            if isinstance(error, MpdtError):
+                raise
+            raise _damaged(str(path), error) from error
+        if found != wanted:
+            raise FormatError("vectors of another size than the export says", where=str(path),
+                              expected=str(wanted), found=str(found))  # fmt: skip
 
 
 def _row_groups(folder: Path) -> Iterator[tuple[Path, Any, int]]:

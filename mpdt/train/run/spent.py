@@ -60,4 +60,7 @@ def _told(path: Path) -> Any:
 
 
 def _is_time(value: Any) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value) and value >= 0
+    try:
+        return isinstance(value, int | float) and 0 <= float(value) < math.inf
+    except OverflowError:  # a whole number of hundreds of digits
+        return False

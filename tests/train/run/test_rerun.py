@@ -10,8 +10,9 @@ import pytest
 
 from mpdt.train.fit.data import load_material
 from mpdt.train.run.config import TrainConfig
-from mpdt.train.run.folder import claimed, locate
+from mpdt.train.run.folder import RunFolder, claimed, locate
 from mpdt.train.run.prepare import prepare
+from mpdt.train.run.spent import Spent
 
 from .command import QUICK, call, names_in
 
@@ -313,6 +314,9 @@ def test_what_training_cost_is_known_to_later_judgements(again):
     (folder / "spent.json").write_text('{"training_s": 123.4}')
     assert call(*arguments, "--adapt.steps", 3, "-q") == 0
     assert results_of(folder)["seconds"]["training"] == 123.4
+    for odd in (f'{{"training_s": {10**400}}}', '{"training_s": -1}', "[]", '{"training_s": "x"}'):
+        (folder / "spent.json").write_text(odd)
+        assert Spent(RunFolder(folder)).training_s == 123.4
     # A run from before this was kept: its first results say it, also once they are set aside.
     (folder / "spent.json").unlink()
     assert call(*arguments, "--adapt.steps", 2, "-q") == 0
