@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +42,14 @@ class Spent:
 
 def _read(folder: RunFolder) -> float:
     """Of earlier processes; of a run from before this was kept, what its results say."""
-    try:
-        found: Any = read_json(folder.spent).get("training_s")
-    except MpdtError:
-        # A judgement that came later trained nothing and said so.
-        earlier = [folder.results, *folder.judged_ones()]
-        return max(filter(_is_time, map(_told, earlier)), default=0.0)
-    return float(found) if _is_time(found) else 0.0
+    found: Any = None
+    with suppress(MpdtError):
+        found = read_json(folder.spent).get("training_s")
+    if _is_time(found):
+        return float(found)
+    # A judgement that came later trained nothing and said so.
+    earlier = [folder.results, *folder.judged_ones()]
+    return max(filter(_is_time, map(_told, earlier)), default=0.0)
 
 
 def _told(path: Path) -> Any:
