@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
 
 from mpdt.data.episode import PolicyInfo
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
+from mpdt.data.spec.env import describe_env
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.inherit import task_rows
@@ -120,16 +121,17 @@ def header_of_policy(
     name = origin.name if "policy" in origin.spec else f"{origin.name}-policy"
     own = {k: v for k, v in origin.spec.items() if k not in ("import", "tta")}
     told = acted.told
+    own |= {"name": name, "tasks": [task.name for task in tasks], "policy": told} | spec
     return FileHeader(
         family=origin.family,
         name=name,
         version=origin.version,
         license=origin.license,
-        spec=own | {"name": name, "tasks": [task.name for task in tasks], "policy": told} | spec,
+        spec=own,
         observation_size=family.observation_size,
         action_size=family.action_size,
         has_success=family.has_success,
-        tasks=tasks,
+        tasks=[replace(one, env=describe_env(own, family.name, one.name)) for one in tasks],
         policies=[acted.info(task.index, levels[task.index]) for task in tasks],
         lineage=[{"verb": verb, "rule": told, "from": [origin.content_hash]}],
     )

@@ -22,7 +22,7 @@ from mpdt.data.collect.collect import OnProgress, check_space, describe_plan, ru
 from mpdt.data.collect.engine import Processes
 from mpdt.data.collect.job import Job
 from mpdt.data.collect.origin import Acted, Origin, header_of_policy
-from mpdt.data.collect.pack import header_of, pack
+from mpdt.data.collect.pack import pack
 from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.plan import Block, Plan, cut
 from mpdt.data.collect.runner import BlockReport
@@ -163,10 +163,8 @@ def roll_out_to(
 def _header(asked: RollOuts, job: Job, reached: Mapping[int, Reached]) -> FileHeader:
     spec = msgspec.to_builtins(job.spec)
     same = {key: spec[key] for key in ("family", "horizon", "seed", "block", "env")}
-    described = header_of(job).tasks
-    tasks = [replace(one, env=row.env) for one, row in zip(asked.tasks, described, strict=True)]
     header = header_of_policy(
-        asked.origin, asked.acted, VERB, tasks,
+        asked.origin, asked.acted, VERB, asked.tasks,
         {index: one.level for index, one in reached.items()},
         episodes={NAME: asked.episodes}, **same,
     )  # fmt: skip

@@ -16,7 +16,7 @@ from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.tables import TaskRow
 from mpdt.data.store.writer import write_file
 from mpdt.data.verify.finding import Outcome
-from mpdt.data.verify.verify import verify
+from mpdt.data.verify.verify import CHECKS, verify
 from mpdt.errors import DataError, UsageError
 from mpdt.seeding import generator_of
 from mpdt.train.bundle.format import FamilyFacts
@@ -59,7 +59,7 @@ def test_a_run_keeps_the_episodes_of_each_row(trained, tmp_path, capsys):
     for stem, row in methods.items():
         table = told(results, *row)
         assert found[stem] == {task: table[task] for task in ("forward", "backward")}
-        assert verify(tmp_path / f"{stem}.h5", replay="all").count(Outcome.PASS) == 11
+        assert verify(tmp_path / f"{stem}.h5", replay="all").count(Outcome.PASS) == len(CHECKS)
     own = open_dataset(tmp_path / "e-own.h5")
     assert own.policies.hashes[0].tobytes() == mpdt.load_policy(trained / "policy").fingerprint
 

@@ -12,7 +12,7 @@ from mpdt.data.sim.actors import UniformPolicy, ZeroPolicy
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.verify.finding import Outcome
-from mpdt.data.verify.verify import verify
+from mpdt.data.verify.verify import CHECKS, verify
 from mpdt.errors import DataError, MpdtError, ShapeError, UsageError
 from mpdt.train.evaluate.rollout import EvaluationSettings, evaluate
 from mpdt.train.evaluate.score import MEAN
@@ -181,7 +181,7 @@ def test_its_episodes_are_kept_and_their_returns_are_the_table(theirs, planned_f
     for row, task in enumerate(kept.tasks.names):
         returns = kept.episodes.returns[kept.episodes.task == row]
         assert returns.mean() == rows(results, "theirs:own.act")[task]["mean"]
-    assert verify(kept.path, replay="all").count(Outcome.PASS) == 11
+    assert verify(kept.path, replay="all").count(Outcome.PASS) == len(CHECKS)
     assert kept.spec["seed"] == 5 and kept.spec["horizon"] == 4
     (step,) = kept.lineage
     assert step["verb"] == "evaluate" and step["from"] == [open_dataset(planned_file).content_hash]
