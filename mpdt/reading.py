@@ -99,7 +99,8 @@ def read_plain(path: Path, limit: int = TEXT_BYTES) -> bytes:
 
 
 def decode_json(text: str | bytes) -> Any:
-    """JSON as its standard has it: no NaN, no number that is none, no half of a character.
+    """JSON as its standard has it: no NaN, no number that is none, no half of a character; and
+    no whole number that no array has room for.
 
     Raises: ValueError, also for what is nested deeper than `MAX_NESTING`.
     """
@@ -109,6 +110,8 @@ def decode_json(text: str | bytes) -> Any:
         raise ValueError(f"nested deeper than {MAX_NESTING}") from error
     layer = [value]
     for _ in range(MAX_NESTING):
+        if any(isinstance(one, int) and one.bit_length() > 63 for one in layer):
+            raise ValueError("a whole number of more than 64 bits")
         layer = [
             item for one in layer if isinstance(one, dict | list)
             for item in (one.values() if isinstance(one, dict) else one)

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from mpdt.data.cli import main
-from mpdt.reading import told_by
+from mpdt.errors import FormatError
+from mpdt.reading import decode_json, read_json, told_by
 
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
 
@@ -96,3 +97,22 @@ def test_a_file_of_another_kind_is_called_by_its_name(
 def test_what_bytes_do_not_tell() -> None:
     assert told_by(b"\x00\x01\x02\xff") == ("", "")
     assert told_by(b'{"a": 1}')[0] == "text"
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["NaN", "[Infinity]", "1e400", '"\\ud800"', "[" * 60 + "]" * 60, "[" * 5000 + "]" * 5000,
+     '{"a": ' + "9" * 400 + "}", "{", "", "\ufeff{}", '{"a": 1,}'],
+)  # fmt: skip
+def test_json_of_the_standard_only(text: str) -> None:
+    with pytest.raises(ValueError):
+        decode_json(text)
+    assert decode_json('{"a": [1e-400, -9223372036854775807, "ä"]}')["a"][2] == "ä"
+
+
+def test_a_file_of_json_holds_an_object(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    for text, told in (("[]", "not a JSON object; found list"), ("\0", "not JSON")):
+        path.write_text(text)
+        with pytest.raises(FormatError, match=told):
+            read_json(path)
