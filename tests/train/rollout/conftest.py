@@ -10,6 +10,7 @@ from mpdt.train.cli import main
 
 QUICK = [
     *("--preset", "smoke", "--threads", "1", "--inputs.previous-action"),
+    *("--inputs.return-to-go", "task"),
     *("--teacher.steps", "1", "--multitask.steps", "2", "--statistics.batches", "1"),
     *("--adapt.starts", "cross", "--adapt.steps", "1", "--evaluation.horizon", "3"),
     *("--evaluation.episodes", "2", "--few-shot.qualities"),

@@ -74,7 +74,8 @@ def test_weights_that_are_gone_need_the_bundle_again(trained, data, tmp_path, ca
     (tmp_path / "n" / "weights.safetensors").unlink()
     (tmp_path / "n" / "results.json").unlink()
     seal = json.loads((trained / "policy" / "config.json").read_text())["seal"]
-    same = [*command[:-2], "--inputs.previous-action", "--began-from", seal]
+    same = [*command[:-2], "--inputs.previous-action",
+            "--inputs.return-to-go", "task", "--began-from", seal]  # fmt: skip
     assert run(*same) == 2
     assert "this run begins from a bundle" in capsys.readouterr().err
     assert run(*command) == 0

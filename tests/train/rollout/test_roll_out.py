@@ -16,13 +16,17 @@ import pytest
 import mpdt
 from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.episode import QUALITY_CODES
+from mpdt.data.sim.play import run_block
+from mpdt.data.sim.simulators import make_batch
 from mpdt.data.slices.cut import Cut, cut_file
 from mpdt.data.slices.merge import merge
+from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import verify
 from mpdt.errors import DataError, MissingFileError, UsageError
-from mpdt.seeding import HISTORY_STRIDE, Quality
+from mpdt.seeding import HISTORY_STRIDE, Quality, SeedKey
+from mpdt.train.evaluate.rollout import evaluate
 from mpdt.train.fit.data import load_material
 from mpdt.train.rollout.roll_out import plan_roll_outs, roll_out
 from mpdt.train.run.load import bundle_folder
@@ -70,6 +74,27 @@ def test_what_the_file_says(made, trained):
     assert step["rule"]["bundle"] == config["seal"] and made.spec["policy"]["start"] == "own"
     assert made.spec["seed"] == 7 and made.spec["episodes"] == {"policy": EPISODES}
     assert set(made.slices) == {"policy", "train", "test"} and made.stats
+
+
+def test_a_roll_out_is_what_an_evaluation_would_have_seen(trained):
+    """The same keys, goals hidden, rewards told: the same returns, whatever stands beside a row."""
+    asked = plan_roll_outs(bundle_folder(str(trained)), "train", None, EPISODES, 0.0, 0)
+    family, tasks = get_family("cheetah_dir"), [get_family("cheetah_dir").task("backward")]
+    judged = evaluate(asked.actor.policy(tasks[0], "policy", 0)[0], family, tasks, {}, 9, 3, 5)
+    keys = [SeedKey(5, family.id, 1, Quality.EVALUATION, 0, row) for row in range(3)]
+    made = run_block(
+        make_batch(family, tasks * 3), asked.actor.policy(tasks[0], "policy", 0)[0], keys,
+        horizon=9, quality=13, progress=-1.0, hidden_columns=family.hidden_columns, width=25,
+    )  # fmt: skip
+    assert [episode.episode_return for episode in made] == judged.returns[0].tolist()
+    told = mpdt.load_policy(trained, task="backward")
+    told.reset(3)
+    earned = np.zeros(3)
+    for step in range(9):
+        seen = np.stack([episode.observations[step] for episode in made])
+        actions = told.act_batch(seen, earned if step else None)
+        assert (actions == np.stack([episode.actions[step] for episode in made])).all()
+        earned = np.array([episode.rewards[step] for episode in made])
 
 
 def test_a_file_without_policy_episodes_keeps_its_bytes(planned_file, tmp_path):

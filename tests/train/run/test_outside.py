@@ -191,6 +191,17 @@ def test_its_episodes_are_kept_and_their_returns_are_the_table(theirs, planned_f
         judged("theirs:zero", planned_file, theirs / "kept.h5")
 
 
+def test_what_it_reached_stands_in_the_file(theirs, planned_file):
+    """At the horizon of the data; at another one nobody knows what the expert would earn."""
+    settings = EvaluationSettings(episodes=2, seed=5)
+    results = judged("theirs:own.act", planned_file, theirs / "kept.h5", settings)
+    levels = open_dataset(theirs / "kept.h5").policies.levels.tolist()
+    table = rows(results, "theirs:own.act")
+    assert levels == [np.float32(table[task]["normalised"]) for task in ("forward", "backward")]
+    judged("theirs:own.act", planned_file, theirs / "short.h5")
+    assert np.isnan(open_dataset(theirs / "short.h5").policies.levels).all()
+
+
 def test_the_command(theirs, tiny_file, capsys):
     words = ["evaluate", "--policy", "theirs:zero", "--data", tiny_file, "-q"]
     asked = ["--evaluation.episodes", "2", "--evaluation.horizon", "3"]
