@@ -5,8 +5,8 @@
     .x.h5.<token>.tmp     what that process has of the new x.h5
 
 The kernel ends the flock of a killed process. The lock file that it leaves is then no obstacle:
-the next writer of x.h5 removes it, and the temporary file whose token it holds. A folder that is
-held covers all that is in it.
+the next writer of x.h5 removes it, and the temporary files with its token. A hold covers what is in
+the target and what is named after it: run/..., x.h5.parts/..., x.h5.part.json.
 
 Where the file system has no flock, which is said once, the lock file alone is the lock: it is
 made in one step or not at all, and counts as left behind if its process is gone from this machine.
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import glob
 import logging
 import os
 import shlex
@@ -106,7 +107,7 @@ def holding(
             raise StorageError("folder does not exist", where=str(target.parent),
                                hint=f"mkdir -p {shlex.quote(str(target.parent))}")  # fmt: skip
         holds: dict[Path, Hold] = _mine.__dict__.setdefault("holds", {})
-        cover = next((holds[p] for p in (path, *path.parents) if p in holds), None)
+        cover = holds.get(path) or next((holds[p] for p in holds if _covers(p, path)), None)
         if cover is not None and cover.pid != os.getpid():  # a forked child holds nothing
             holds.clear()
             cover = None
@@ -239,11 +240,22 @@ def _remove(lock: Path, handle: int, alone: bool) -> None:
         aside.unlink()
 
 
+def _covers(held: Path, path: Path) -> bool:
+    """Whether `path` is in what is held, or in or itself something that is named after it."""
+    return any(
+        place.parent == held.parent and f"{place.name}.".startswith(f"{held.name}.")
+        for place in (path, *path.parents)
+    )
+
+
 def _sweep(target: Path, token: str) -> None:
-    """Remove what a killed process had of the new target, or of what is in a folder it held."""
+    """Remove the temporary files of a killed process that held `target`."""
+    name = glob.escape(target.name)
     left = [target.with_name(f".{target.name}.{token}.tmp")]
-    if target.is_dir():
-        left += target.rglob(f".*.{token}.tmp")
+    left += target.parent.glob(f".{name}.*.{token}.tmp")
+    for folder in (target, *target.parent.glob(f"{name}.*")):
+        if folder.is_dir() and not folder.is_symlink():
+            left += folder.rglob(f".*.{token}.tmp")
     for path in left:
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path, ignore_errors=True)

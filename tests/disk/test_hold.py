@@ -90,6 +90,21 @@ def test_what_a_killed_holder_of_a_folder_had_in_it_goes_too(tmp_path, holder):
     assert names(tmp_path) == ["run"]
 
 
+def test_what_is_named_after_the_target_is_covered_too(tmp_path, holder):
+    (tmp_path / "x.h5.parts").mkdir()
+    for name in ("x.h5.part.json", "x.h5.parts/plan"):
+        other = holder(tmp_path / "x.h5", tmp_path / name)
+        assert not (tmp_path / f".{name}.lock").exists()
+        assert (tmp_path / ".x.h5.lock").exists()
+        with holding(tmp_path / "x.h5.tmp", wait_s=0), holding(tmp_path / "x.h", wait_s=0):
+            pass  # other names are others'
+        other.kill()
+        other.wait()
+        with holding(tmp_path / "x.h5"):
+            assert names(tmp_path) == [".x.h5.lock", "x.h5.parts"]
+            assert names(tmp_path / "x.h5.parts") == []
+
+
 def test_waits_for_another(tmp_path, holder):
     target = tmp_path / "x"
     other = holder(target)
