@@ -19,7 +19,8 @@ def episode(**changes) -> Episode:
 
 
 def test_quality_codes_are_those_of_the_format():
-    assert QUALITY_CODES == {"random": 0, "medium": 1, "expert": 2, "history": 3}
+    codes = {"random": 0, "medium": 1, "expert": 2, "history": 3, "policy": 13}
+    assert codes == QUALITY_CODES
 
 
 def test_length_return_success():

@@ -207,7 +207,8 @@ def refuse_to_replace(sources: Sequence[Dataset], target: Path, step: Mapping[st
         where=str(target),
         expected="nothing, or what the same command made before",
         found=found,
-        hint="choose another name with -o, or delete that file first",
+        # Not to delete it: it may be the source, or somebody's only copy.
+        hint="choose another name with -o",
     )
 
 

@@ -232,3 +232,9 @@ def test_the_best_share_is_rounded_up_and_of_equals_the_earlier(data: Dataset) -
     assert found[0.25] == [8, 24]
     assert found[0.3] == found[0.5] == [8, 9, 24, 25]
     assert found[1.0] == [8, 9, 10, 11, 24, 25, 26, 27]
+
+
+def test_nobody_is_told_to_delete_the_source(data: Dataset) -> None:
+    with pytest.raises(DataError, match="found the source itself") as raised:
+        cut_file(data, Cut(quality="medium"), data.path)
+    assert "delete" not in raised.value.hint and data.path.exists()
