@@ -41,8 +41,9 @@ def read_book(path: Path, kind: type[Entry], format: str, what: str) -> tuple[En
 
     Raises: DataError for another content; FormatError for what is no file; StorageError.
     """
+    content = read_plain(path)
     try:
-        book = msgspec.json.decode(read_plain(path), type=_Book[kind])  # type: ignore[valid-type]
+        book = msgspec.json.decode(content, type=_Book[kind])  # type: ignore[valid-type]
     except (ValueError, RecursionError) as error:
         raise DataError(f"not a {what}", where=str(path), found=str(error),
                         hint="delete it, or choose another file with -o") from error  # fmt: skip

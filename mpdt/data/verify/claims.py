@@ -28,7 +28,7 @@ from mpdt.data.sim.constants import constant_actions
 from mpdt.data.slices.cut import Cut, choose
 from mpdt.data.slices.standard import standard_slices
 from mpdt.data.slices.stats import compute_stats
-from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.spec.entry import DatasetSpec, is_own_network
 from mpdt.data.spec.env import describe_env
 from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.store import provenance
@@ -141,10 +141,15 @@ def _spec(data: Dataset) -> DatasetSpec | None:
 
 
 def _job(data: Dataset) -> Job | None:
-    """What collecting the entry would do here; None where its ladder is not here."""
+    """What collecting the entry would do here; None where its ladder is not here.
+
+    A file decides nothing that is read beside it: weights that it names by a path are not opened.
+    """
     spec = _spec(data)
+    if spec is None or is_own_network(spec.behaviour.network):
+        return None
     try:
-        return None if spec is None else make_job(spec)
+        return make_job(spec)
     except MpdtError:
         return None
 
