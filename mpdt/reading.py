@@ -173,4 +173,6 @@ def refuse_other(path: Path, wanted: str, *known: str) -> None:
 def _refuse(path: Path, found: os.stat_result) -> None:
     kind = stat.S_IFMT(found.st_mode)
     if kind != stat.S_IFREG:
-        raise FormatError(f"{_KINDS.get(kind, 'something else')}, not a file", where=str(path))
+        hint = "name a file in it" if kind == stat.S_IFDIR else "copy what it gives into a file"
+        raise FormatError(f"{_KINDS.get(kind, 'something else')}, not a file", where=str(path),
+                          hint=hint)  # fmt: skip

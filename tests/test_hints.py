@@ -14,6 +14,8 @@ from mpdt.errors import DataError, quoted, visible
 PACKAGE = Path(mpdt.__file__).parent
 COMMAND = re.compile(r"(\b(mpdt-data|mpdt-train|mkdir|kill|chmod|rm|mv|cp|ssh) |--[a-z-]+[ =]$)")
 SAFE = {"quoted", "_quoted", "join", "quote"}
+AWAY = re.compile(r"\b(delete|remove|erase|rm|unlink)\b")
+OUR_LOCK = Path("disk/hold.py")  # a lock file of ours holds nothing
 
 
 def unquoted(tree: ast.AST) -> list[tuple[int, str]]:
@@ -53,6 +55,28 @@ def test_the_test_sees_what_it_looks_for() -> None:
         assert unquoted(ast.parse(text)), text
     for text in ('f"mpdt-data show {quoted(path)}"', 'f"{path} is not"', 'f"kill {n:d}"'):
         assert not unquoted(ast.parse(text)), text
+
+
+def told(tree: ast.AST) -> list[str]:
+    """The texts of a module that are no docstrings."""
+    said = {id(one.value) for one in ast.walk(tree) if isinstance(one, ast.Expr)}
+    return [
+        one.value for one in ast.walk(tree)
+        if isinstance(one, ast.Constant) and isinstance(one.value, str) and id(one) not in said
+    ]  # fmt: skip
+
+
+def test_nobody_is_told_to_delete_anything() -> None:
+    """It may be the only one there is; what is moved away is not lost."""
+    found = [
+        f"{path.relative_to(PACKAGE)}: {text}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        if path.relative_to(PACKAGE) != OUR_LOCK
+        for text in told(ast.parse(path.read_text("utf-8")))
+        if AWAY.search(text)
+    ]
+    assert not found, "\n".join(found)
+    assert AWAY.search(told(ast.parse('"""Delete."""\nf(hint=f"or delete {x} first")'))[0])
 
 
 @pytest.mark.parametrize(

@@ -150,7 +150,7 @@ def real_path(target: Path) -> Path:
     path = Path(os.path.realpath(target))
     if path.is_symlink():
         raise StorageError("links that lead nowhere", where=str(target),
-                           hint=f"delete {target}, or choose another name")  # fmt: skip
+                           hint="choose another name, or mend the links")  # fmt: skip
     return path
 
 

@@ -98,7 +98,7 @@ def _shards(index: Path) -> set[str]:
         read = msgspec.json.decode(index.read_bytes(), type=_Index)
     except (OSError, msgspec.MsgspecError, RecursionError) as error:
         raise BackboneError("not an index of weights", where=str(index), found=str(error),
-                            hint="delete it, and download the model again") from error  # fmt: skip
+                            hint="download the model again") from error  # fmt: skip
     return set(read.weight_map.values())
 
 

@@ -213,5 +213,5 @@ def _finished(asked: RollOuts, target: Path) -> Dataset | None:
         found = error.what
     raise DataError(
         "something else is there", where=str(target), found=found,
-        hint=f"choose another name with -o, or delete {quoted(target)} first",
+        hint=f"choose another name with -o, or move {quoted(target)} away first",
     )  # fmt: skip

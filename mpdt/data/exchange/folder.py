@@ -41,7 +41,7 @@ def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
         elif path.is_symlink() and not path.exists():
             raise MissingFileError("a link that leads nowhere", where=str(path),
                                    found=str(path.readlink()),
-                                   hint="mend or delete it")  # fmt: skip
+                                   hint="mend it, or move it away")  # fmt: skip
         else:
             yield path
 
@@ -50,7 +50,7 @@ def refuse_existing(target: Path) -> None:
     """Raises: DataError if something is at `target`; StorageError if it has no folder to be in."""
     if target.exists():
         raise DataError("an export would replace something", where=str(target),
-                        hint="choose another name with -o, or delete it first")  # fmt: skip
+                        hint="choose another name with -o, or move it away first")  # fmt: skip
     if not target.parent.is_dir():
         raise StorageError("folder does not exist", where=str(target.parent),
                            hint=f"mkdir -p {quoted(target.parent)}")  # fmt: skip

@@ -49,6 +49,6 @@ def store(incoming: Incoming, target: Path, finish: Callable[[Dataset], Addition
     with holding(target) as hold:
         if hold.found is not None:
             raise DataError("an import would replace another file", where=str(target),
-                            hint="choose another name with -o, or delete that file first",
+                            hint="choose another name with -o, or move that file away first",
                             )  # fmt: skip
         return write_file(target, incoming.header, incoming.source, finish=checked)

@@ -144,7 +144,7 @@ def sum_of_sizes(folder: Path, names: dict[str, str]) -> int:
 
 def _in_the_way(target: Path) -> DataError:
     return DataError("something else is there already", where=str(target),
-                     hint="choose another name with -o, or delete it first")  # fmt: skip
+                     hint="choose another name with -o, or move it away first")  # fmt: skip
 
 
 def fetch(

@@ -106,7 +106,7 @@ def _read_judged(cache: Path, num_tasks: int) -> dict[str, list[float]]:
 
 def _not_judged(cache: Path, found: str) -> FormatError:
     return FormatError("not a list of judged snapshots", where=str(cache), found=found[:160],
-                       hint="delete it, and they are judged again")  # fmt: skip
+                       hint="move it away, and they are judged again")  # fmt: skip
 
 
 def judge(

@@ -36,10 +36,18 @@ def missing_hint(path: Path) -> str:
     return f"did you mean {meant}? It is made by: {_command(meant, known)}"
 
 
-def damaged_hint(path: Path) -> str:
-    """How to get a file again that is there, but not whole."""
+def damaged_hint(path: Path, dataset: Dataset | None = None) -> str:
+    """How to get a file again that is there, but not whole. It may be all that is left of it, so
+    nobody is told to delete it.
+
+    Args:
+        dataset: what could be read of it says more than its name.
+    """
+    if dataset is not None:
+        return f"copy it again, or move it away and {again_hint(dataset)}"
     command = _command(path, _entries())
-    return f"copy it again, or delete it and make it again: {command or LIST}"
+    made = f"move it away and make it again: {command}" if command else "ask whoever made it"
+    return f"copy it again, or {made}"
 
 
 def again_hint(dataset: Dataset) -> str:
@@ -50,7 +58,7 @@ def again_hint(dataset: Dataset) -> str:
         return f"make it again from its source: mpdt-data show {quoted(dataset.path)} says which"
     name, smoke = dataset.name.removesuffix("-smoke"), dataset.name.endswith("-smoke")
     if name not in _entries():
-        return "take another copy, or ask whoever made it"
+        return "ask whoever made it for another copy"
     return f"collect it again: {_collect([name, *(['--smoke'] if smoke else [])], dataset.path)}"
 
 

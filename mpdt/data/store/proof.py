@@ -155,7 +155,7 @@ def _damaged(
     of = f" of the TTA set '{tta}'" if tta else ""
     does = "does not have the bytes of its digest" if one else "do not have their digests' bytes"
     leave_out = f"mpdt-data drop {quoted(path)} --episodes {quoted(','.join(map(str, wrong)))}"
-    again = damaged_hint(path)
+    again = damaged_hint(path, dataset)
     return FormatError(
         f"{'episode' if one else 'episodes'} {ids}{of} {does}",
         where=str(path),

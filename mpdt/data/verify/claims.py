@@ -70,7 +70,7 @@ def check_claims(material: Material, lock: tuple[str, LockEntry | None] | None) 
     )  # fmt: skip
     if unproven:
         text += f"; {unproven} references were measured when it was collected{locked}"
-    return judge(ID, faults, text, damaged_hint(material.path) if faults else "")
+    return judge(ID, faults, text, damaged_hint(material.path, data) if faults else "")
 
 
 def _env_faults(data: Dataset) -> Iterator[Fault]:

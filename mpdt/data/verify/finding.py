@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
 from typing import Any
 
+from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.tables import Int64
 from mpdt.errors import quoted
@@ -77,14 +77,14 @@ class Fault:
         return f"{self.what}: episode{plural} {first}{more}{place}"
 
 
-def drop_hint(path: Path, faults: Sequence[Fault]) -> str:
+def drop_hint(data: Dataset, faults: Sequence[Fault]) -> str:
     """How to go on without the episodes of these faults; how to mend what is no episode."""
     if not faults:
         return ""
     ids = sorted({i for one in faults if not one.track for i in one.episodes[:3]})
     if not ids:
-        return damaged_hint(path)
-    return f"mpdt-data drop {quoted(path)} --episodes {','.join(map(str, ids))} -o OUT.h5"
+        return damaged_hint(data.path, data)
+    return f"mpdt-data drop {quoted(data.path)} --episodes {','.join(map(str, ids))} -o OUT.h5"
 
 
 def fault(

@@ -41,5 +41,5 @@ class FlagsCheck:
         horizon = self._material.own().horizon
         where = f", truncation at step {horizon}" if horizon is not None else ""
         faults = self._faults.all()
-        hint = drop_hint(self._material.path, faults)
+        hint = drop_hint(self._material.dataset, faults)
         return judge(self.id, faults, f"one end per episode{where}", hint)

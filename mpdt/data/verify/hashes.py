@@ -66,7 +66,7 @@ class HashCheck:
             finite = np.isfinite(tta.preset_return).all()  # else `tta` tells
             if finite and tta.content_hash not in _tta_hashes(self._material, tta):
                 faults.append(Fault("the hash of the set does not fit it", track=f"tta {name}"))
-        hint = damaged_hint(self._material.path) if faults else ""
+        hint = damaged_hint(self._material.path, data) if faults else ""
         compared = ""
         if self._lock is not None:
             locked, compared = _lock_faults(self._material, *self._lock)

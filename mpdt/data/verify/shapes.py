@@ -30,7 +30,7 @@ def check_shapes(material: Material) -> Finding:
         f"{len(data.steps.observations):,} observation rows for {data.num_steps:,} steps, "
         "no gap or overlap"
     )
-    return judge(ID, faults, passed, damaged_hint(material.path) if faults else "")
+    return judge(ID, faults, passed, damaged_hint(material.path, data) if faults else "")
 
 
 def _length_faults(material: Material) -> list[Fault]:

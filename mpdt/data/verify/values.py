@@ -69,7 +69,7 @@ class ValuesCheck:
     def finding(self) -> Finding:
         bounds = self._bounds
         faults = self._faults.all()
-        hint = drop_hint(self._material.path, faults)
+        hint = drop_hint(self._material.dataset, faults)
         faults += self._constant_columns()
         inside = f", actions in [{bounds[0]:g}, {bounds[1]:g}]" if bounds else ""
         return judge(self.id, faults, f"no NaN or infinity{inside}", hint)

@@ -109,7 +109,8 @@ def _open(path: Path) -> tuple[Material | None, list[Finding]]:
         dataset, finding = open_unchecked(path)
         material = None if dataset is None else read_material(path, dataset)
     except FormatError as error:
-        return None, [Finding("format", Outcome.FAIL, error.message(), hint=damaged_hint(path))]
+        hint = error.hint or damaged_hint(path)
+        return None, [Finding("format", Outcome.FAIL, error.message(), hint=hint)]
     if material is None:
         return None, [finding]
     shapes = _guarded("shapes", path, lambda: check_shapes(material))

@@ -31,7 +31,7 @@ class Line(msgspec.Struct, frozen=True):
 _NEEDED = {"adapt": ("step", "start", "losses"), "infer": ("task", "weights")}
 
 
-_MEND = "remove the line, or train again with --restart"
+_MEND = "mend the line, or train again with --restart"
 
 
 class MetricsLog:

@@ -103,7 +103,7 @@ class KeptRow:
         except FormatError as error:
             found = error.what
         raise DataError("something else is there", where=str(self.path), found=found,
-                        hint="choose another --keep, or delete it first")  # fmt: skip
+                        hint="choose another --keep, or move it away first")  # fmt: skip
 
     def write(self, rows: Sequence[int]) -> None:
         """The file of the episodes that were run. Raises: as `write_file`."""

@@ -21,7 +21,7 @@ from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder
 from mpdt.train.run.prepare import Prepared
 
-_AGAIN = "delete it; the same mpdt-train command judges the run again"
+_AGAIN = "move it away; the same mpdt-train command judges the run again"
 VERSIONED = ("mpdt", "torch", "transformers", "numpy", "mujoco", "metaworld")
 
 

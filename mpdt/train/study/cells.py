@@ -25,7 +25,7 @@ Name = Annotated[str, Meta(pattern=r"\A\w[\w.+-]*\Z")]
 Points = Annotated[list[tuple[float, float]], Meta(min_length=1)]
 Seen = dict[tuple[object, ...], tuple[Path, Any]]
 """The first file that said something, and what it said."""
-_AGAIN = "delete it; its study makes it again"
+_AGAIN = "move it away; its study makes it again"
 
 
 class DataPart(msgspec.Struct, frozen=True):
@@ -99,7 +99,7 @@ def _check_together(path: Path, file: CellFile, seen: Seen) -> None:
     if earlier != path:
         raise FormatError(f"a second file of {data.name}.{own.method}.s{own.seed}",
                           where=str(path), found=f"also {earlier.name}",
-                          hint="delete one of them")  # fmt: skip
+                          hint="move one of them away")  # fmt: skip
     earlier, content_hash = seen.setdefault((data.name,), (path, data.content_hash))
     if content_hash != data.content_hash:
         raise FormatError(f"other episodes of {data.name} than {earlier.name}", where=str(path),
@@ -111,4 +111,4 @@ def _check_together(path: Path, file: CellFile, seen: Seen) -> None:
             raise FormatError(f"other {block} tasks of {method} than {earlier.name}",
                               where=str(path),
                               found=f"in one of them only: {', '.join(differing)}",
-                              hint="delete the damaged one; its study makes it again")  # fmt: skip
+                              hint="move the damaged one away; its study makes it again")  # fmt: skip

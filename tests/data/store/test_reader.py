@@ -112,7 +112,7 @@ def test_a_damaged_file_says_how_to_make_it_again(tmp_path):
     with pytest.raises(FormatError) as caught:
         open_dataset(path)
     assert caught.value.hint == (
-        f"copy it again, or delete it and make it again: mpdt-data collect ml10 -o {path}"
+        f"copy it again, or move it away and make it again: mpdt-data collect ml10 -o {path}"
     )
 
 
