@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.exchange import foreign, hdf5
 from mpdt.data.exchange.claims import Said, named
-from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import Source, quality_code, quality_name
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.selection import Run, Selection
@@ -106,8 +106,9 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
         `rules` say otherwise than the file.
     """
     rules = foreign.given(rules)
-    sources, remarks = [], []
-    for path in files_below(paths, ".hdf5", ".h5"):
+    files = files_below(paths, ".hdf5", ".h5")
+    sources, remarks = [], left_out(paths, files)
+    for path in files:
         with hdf5.opened(path) as file:
             said = Said.of(file.attrs, "its attributes")
             bounds = _bounds(file, rules.horizon, str(path))

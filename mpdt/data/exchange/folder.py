@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from mpdt.errors import DataError, MissingFileError, StorageError, quoted
 from mpdt.reading import refuse_special
+
+_SUMS = "SHA256SUMS"  # beside whatever `mpdt-data pull` brought
 
 
 def files_below(paths: Sequence[Path], *suffixes: str) -> list[Path]:
@@ -28,6 +30,17 @@ def files_below(paths: Sequence[Path], *suffixes: str) -> list[Path]:
     for path in found:
         refuse_special(path)
     return found
+
+
+def left_out(paths: Sequence[Path], read: Iterable[Path]) -> list[str]:
+    """A remark on what lies below the given folders and is none of the files that are read."""
+    known = set(read)
+    others = [
+        path for folder in paths if folder.is_dir() for path in _below(folder, set())
+        if path not in known and path.name != _SUMS
+    ]  # fmt: skip
+    more = f" and {len(others) - 3:,} more" if len(others) > 3 else ""
+    return [f"left out {', '.join(map(str, others[:3]))}{more}: not of this format"] * bool(others)
 
 
 def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:

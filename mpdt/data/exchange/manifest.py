@@ -24,6 +24,7 @@ _UNPROVEN = (
     "an export of an older release: its episodes are proven by their content hash; roles, "
     "references, licence and policies are as it says"
 )
+AGAIN = "take another copy, or export it again"
 KEY = "mpdt"
 """Name under which a format keeps the manifest."""
 
@@ -78,8 +79,11 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
                               hint="export it again, or name its --family to import it as "
                                    "foreign data") from error  # fmt: skip
 
-    def incoming(self, source: EpisodeSource) -> Incoming:
+    def incoming(self, source: EpisodeSource, remarks: Sequence[str] = ()) -> Incoming:
         """The whole export, to be compared with its content hash once it is written.
+
+        Args:
+            remarks: of its format.
 
         Raises: FormatError for other ids of origin.
         """
@@ -89,8 +93,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         header, tasks = self.header, self.header.tasks
         envs = (describe_env(header.spec, header.family, task.name) for task in tasks)
         ours = [replace(task, env=env) for task, env in zip(tasks, envs, strict=True)]
-        remarks = () if self.is_proven else (_UNPROVEN,)
-        return Incoming(replace(header, tasks=ours), source, self.content_hash, remarks)
+        told = (*remarks, *(() if self.is_proven else (_UNPROVEN,)))
+        return Incoming(replace(header, tasks=ours), source, self.content_hash, told)
 
 
 def _check_numbers(manifest: Manifest) -> None:
@@ -119,10 +123,12 @@ def _hash_of_ids(ids: Sequence[int] | None) -> str:
 def single_file(paths: list[Path], what: str, where: str) -> Path:
     """The one file of an export. Raises: MissingFileError, FormatError."""
     if not paths:
-        raise MissingFileError(f"no {what} there", where=where)
+        raise MissingFileError(f"no {what} there", where=where,
+                               hint="name what mpdt-data export has written")  # fmt: skip
     if len(paths) > 1:
-        raise FormatError(f"several times {what}", where=where, expected="one export",
-                          found=f"{paths[0]} and {paths[1]}")  # fmt: skip
+        raise FormatError(f"more than one {what}", where=where, expected="one export",
+                          found=f"{paths[0]} and {paths[1]}",
+                          hint="import them one by one")  # fmt: skip
     return paths[0]
 
 

@@ -28,7 +28,7 @@ from gymnasium.envs.registration import EnvSpec
 from mpdt.data.episode import Episode
 from mpdt.data.exchange import foreign, hdf5
 from mpdt.data.exchange.claims import Said
-from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import Source, quality_code, quality_name
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.manifest import KEY, Manifest
@@ -45,6 +45,7 @@ from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 VERSION = "0.5.0"  # readers accept an exact list; all since 0.5.0 have this one in it
 _STEPS = ("observations", "actions", "rewards", "terminations", "truncations")
 _MAIN = "main_data.hdf5"
+_OF_NAMESPACES = "namespace_metadata.json"
 
 
 # ---- out ----
@@ -174,27 +175,30 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
 
     Raises: UsageError, FormatError, DataError, ShapeError naming set and episode.
     """
-    sets = [path.parent for path in files_below(paths, ".json") if path.name == "metadata.json"]
+    known = files_below(paths, ".json")
+    sets = [path.parent for path in known if path.name == "metadata.json"]
     if not sets:
         raise UsageError("no Minari dataset there", where=str(paths[0]),
                          expected="a folder with data/metadata.json in it")  # fmt: skip
     found = {folder: _read_metadata(folder) for folder in sets}
+    read = [folder / name for folder in sets for name in (_MAIN, "metadata.json")]
+    remarks = left_out(paths, read + [path for path in known if path.name == _OF_NAMESPACES])
     if rules is None and all(KEY in metadata for metadata in found.values()):
-        return _read_own(found)
+        return _read_own(found, remarks)
     rules = foreign.given(rules)
     sources = []
     for folder, metadata in found.items():
         said = said_in(metadata, rules.family, str(folder)).settled(rules, str(folder))
         if not said.task:
-            known = ", ".join(task.name for task in rules.family.tasks)
-            raise UsageError("of which task?", where="--task", hint=f"one of: {known}")
+            tasks = ", ".join(task.name for task in rules.family.tasks)
+            raise UsageError("of which task?", where="--task", hint=f"one of: {tasks}")
         sources.append(
             Source(folder / _MAIN, rules.family.task(said.task),
                    quality_code(said.quality or "unknown"),
                    partial(_episodes, folder, metadata, said, rules), said.license,
                    str(metadata.get("dataset_id", "")))
         )  # fmt: skip
-    return foreign.incoming(sources, rules, name)
+    return foreign.incoming(sources, rules, name, remarks)
 
 
 def _read_metadata(folder: Path) -> dict[str, Any]:
@@ -247,7 +251,7 @@ def _check_count(file: h5py.File, metadata: dict[str, Any], path: Path) -> None:
                           found=str(len(file)))  # fmt: skip
 
 
-def _read_own(found: dict[Path, dict[str, Any]]) -> Incoming:
+def _read_own(found: dict[Path, dict[str, Any]], remarks: Sequence[str]) -> Incoming:
     manifests = {metadata[KEY]: folder for folder, metadata in found.items()}
     where = str(min(found))
     if len(manifests) != 1:
@@ -274,7 +278,7 @@ def _read_own(found: dict[Path, dict[str, Any]]) -> Incoming:
     source = EpisodeSource(
         _own_episodes(entries, manifest, rows), len(entries), manifest.num_steps, sources or None
     )
-    return manifest.incoming(source)
+    return manifest.incoming(source, remarks)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from mpdt.data.exchange import foreign
 from mpdt.data.exchange.claims import Said
-from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import Source, quality_code
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.promptdt import raw_episode
@@ -40,8 +40,9 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
                          hint="ml10, ml45, mt10 or mt50")  # fmt: skip
     known = {task.name: task for task in rules.family.tasks}
     quality = quality_code(rules.quality or "unknown")
-    sources, remarks = [], []
-    for path in files_below(paths, ".npy"):
+    files = files_below(paths, ".npy")
+    sources, remarks = [], left_out(paths, files)
+    for path in files:
         match = _NAME.fullmatch(path.name)
         named = match["task"] if match else ""
         if named and named not in known and rules.task is None:

@@ -16,6 +16,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from math import prod
 from pathlib import Path
@@ -26,9 +27,9 @@ from numpy.typing import NDArray
 
 from mpdt.data.episode import Episode
 from mpdt.data.exchange.episode_table import EpisodeTable
-from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.incoming import Incoming
-from mpdt.data.exchange.manifest import KEY, Manifest, single_file
+from mpdt.data.exchange.manifest import AGAIN, KEY, Manifest, single_file
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.exchange.treatment import Rules
 from mpdt.data.store.layout import EPISODES, GOALS, STEPS
@@ -46,7 +47,7 @@ _ROWS = dict.fromkeys((column.path for column in STEPS), "N") | dict.fromkeys(
     _EPISODES.values(), "E"
 )
 """What counts the rows of an array: N steps and one more per episode, or E episodes."""
-
+_NAMES = (*(column.path for column in STEPS), *_EPISODES.values(), *_GOALS.values())
 _PER_STEP = [column.path for column in STEPS if column.path != "observations"]
 # What numpy and zipfile raise about bytes that make no sense.
 _DAMAGE = (
@@ -87,10 +88,11 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
 
     Raises: MissingFileError; FormatError for a file that is damaged or not an export of ours.
     """
-    path = single_file(files_below(paths, ".npz"), "an .npz file", str(paths[0]))
+    path = single_file(files_below(paths, ".npz"), ".npz file", str(paths[0]))
     refuse_other(path, "an .npz file", "a zip archive")
     try:
         with open_plain(path) as file, zipfile.ZipFile(file) as archive:
+            odd = _others(archive)
             text = _manifest(archive)
             manifest = Manifest.from_json(text, str(path))
             arrays = {name: _array(archive, name, manifest, path) for name in _wanted(archive)}
@@ -98,7 +100,8 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
         raise
     except _DAMAGE as error:
         raise FormatError("damaged, or not an export of mpdt", where=str(path),
-                          found=f"{type(error).__name__}: {error}"[:120]) from error  # fmt: skip
+                          found=f"{type(error).__name__}: {error}"[:120],
+                          hint=AGAIN) from error  # fmt: skip
     table = EpisodeTable(
         {name: arrays[key] for name, key in _EPISODES.items() if key in arrays},
         {name: arrays[key] for name, key in _GOALS.items() if key in arrays},
@@ -109,14 +112,25 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
         _episodes(arrays, table, manifest), manifest.num_episodes, manifest.num_steps,
         table.source_ids(),
     )  # fmt: skip
-    return manifest.incoming(source)
+    told = [f"left out of {path}: {', '.join(odd[:3])}, not of an export of mpdt"] * bool(odd)
+    return manifest.incoming(source, [*left_out(paths, [path]), *told])
+
+
+def _others(archive: zipfile.ZipFile) -> list[str]:
+    """Names of members that no export of ours has.
+
+    Raises: ValueError for two members of one name: which of them is read is the reader's choice.
+    """
+    names = Counter(archive.namelist())
+    if twice := [name for name, times in names.items() if times > 1]:
+        raise ValueError(f"two members are called {twice[0]}")
+    return sorted(names.keys() - {f"{name}.npy" for name in (KEY, "valids", *_NAMES)})
 
 
 def _wanted(archive: zipfile.ZipFile) -> list[str]:
     """Names of the arrays that are read; whatever else lies in the archive is not looked at."""
-    names = [column.path for column in STEPS] + [*_EPISODES.values(), *_GOALS.values()]
     there = set(archive.namelist())
-    return [name for name in names if f"{name}.npy" in there]
+    return [name for name in _NAMES if f"{name}.npy" in there]
 
 
 def _manifest(archive: zipfile.ZipFile) -> bytes:

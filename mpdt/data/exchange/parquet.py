@@ -12,7 +12,9 @@ manifest, which is what an import believes, beside the numbers.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +27,21 @@ from mpdt.data.episode import Episode
 from mpdt.data.exchange import arrow
 from mpdt.data.exchange.croissant import describe, readme
 from mpdt.data.exchange.episode_table import EpisodeTable
-from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import quality_name
 from mpdt.data.exchange.incoming import Incoming
-from mpdt.data.exchange.manifest import KEY, Manifest, single_file
+from mpdt.data.exchange.manifest import AGAIN, KEY, Manifest, single_file
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.exchange.treatment import Rules
 from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.data.store.layout import EPISODES, GOALS, STEPS
 from mpdt.data.store.sources import EpisodeSource, FileHeader
-from mpdt.errors import FormatError, MpdtError, ShapeError
+from mpdt.errors import FormatError, MissingFileError, MpdtError, ShapeError
 from mpdt.reading import refuse_other
 
+_TABLES = ("episodes.parquet", "goals.parquet", "tasks.parquet", "policies.parquet")
+_SHARD = "train-{:05d}-of-{:05d}.parquet"
+_COUNT = re.compile(r"-of-(\d{5})\.parquet")
 MAX_FILE_BYTES = 500_000_000
 _COMPRESSION = "zstd"
 # Name of the column of a step -> of the array in the file format.
@@ -47,7 +52,7 @@ _STEPS = {
 _DTYPES = {column.path: column.dtype for column in STEPS + EPISODES + GOALS}
 _MOST_COMPRESSED = 1000
 """Bytes per stored one at most; rewards of zeros are the worst of what we write."""
-_DAMAGE = (pa.ArrowException, OSError, KeyError, ValueError, TypeError, IndexError)
+_DAMAGE = (pa.ArrowException, OSError, KeyError, ValueError, TypeError, IndexError, AttributeError)
 
 
 # ---- out ----
@@ -87,7 +92,7 @@ def _write_steps(selection: Selection, places: NDArray[np.int64], folder: Path) 
         for place in places[number == part].tolist():
             table = _steps_table(selection, place)
             if writer is None:
-                path = folder / f"train-{part:05d}-of-{count:05d}.parquet"
+                path = folder / _SHARD.format(part, count)
                 writer = pq.ParquetWriter(path, table.schema, compression=_COMPRESSION)
             writer.write_table(table, row_group_size=len(table))
         if writer is not None:
@@ -156,30 +161,70 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
 
     Raises: MissingFileError; FormatError for files that are damaged or not an export of ours.
     """
-    found = [path for path in files_below(paths, ".parquet") if path.name == "episodes.parquet"]
-    folder = single_file(found, "an episodes.parquet", str(paths[0])).parent
-    where = str(folder)
-    try:
-        text = (_schema(folder / "episodes.parquet").metadata or {})[KEY.encode()]
-        manifest = Manifest.from_json(text, where)
+    found = [one for one in files_below(paths, ".parquet") if one.name == "episodes.parquet"]
+    path = single_file(found, "episodes.parquet", str(paths[0]))
+    folder = path.parent
+    with _told(path):
+        text = (_schema(path).metadata or {})[KEY.encode()]
+        manifest = Manifest.from_json(text, str(path))
         names = [column.path for column in EPISODES] + ["final_observation"]
-        episodes = _table(folder / "episodes.parquet", names, manifest.num_episodes)
-        goals = _table(folder / "goals.parquet", [column.path for column in GOALS])
-        table = EpisodeTable(_columns(episodes, EPISODES), _columns(goals, GOALS))
+        episodes = _table(path, names, manifest.num_episodes)
+        columns = _columns(episodes, EPISODES)
         final = arrow.array(episodes, "final_observation", "<f4")
+    with _told(folder / "goals.parquet"):
+        goals = _table(folder / "goals.parquet", [column.path for column in GOALS])
+        table = EpisodeTable(columns, _columns(goals, GOALS))
+    table.check(manifest, str(folder))
+    if final.shape != (manifest.num_episodes, manifest.header.observation_size):
+        raise FormatError("column final_observation is wrong", where=str(path), hint=AGAIN)
+    codes = np.unique(table.columns["quality"]).tolist()
+    shards = {quality: _shards(folder / "data" / quality) for quality in map(quality_name, codes)}
+    steps = [one for some in shards.values() for one in some]
+    announced = [*(folder / name for name in _TABLES), *steps]
+    if odd := [one for one in files_below([folder], ".parquet") if one not in announced]:
+        raise _unannounced(odd[0])
+    _check_widths(steps, manifest.header)
+    source = EpisodeSource(
+        _episodes(shards, manifest, table, final), manifest.num_episodes, manifest.num_steps,
+        table.source_ids(),
+    )  # fmt: skip
+    pages = [folder / "README.md", folder / "croissant.json"]
+    return manifest.incoming(source, left_out(paths, announced + pages))
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What pyarrow says of a file that makes no sense, as one error."""
+    try:
+        yield
     except MpdtError:
         raise
     except _DAMAGE as error:
-        raise _damaged(where, error) from error
-    table.check(manifest, where)
-    if final.shape != (manifest.num_episodes, manifest.header.observation_size):
-        raise FormatError("column final_observation is wrong", where=where)
-    _check_widths(folder, manifest.header)
-    source = EpisodeSource(
-        _episodes(folder, manifest, table, final), manifest.num_episodes, manifest.num_steps,
-        table.source_ids(),
-    )  # fmt: skip
-    return manifest.incoming(source)
+        raise FormatError("damaged, or not an export of mpdt", where=str(path),
+                          found=f"{type(error).__name__}: {error}"[:160],
+                          hint=AGAIN) from error  # fmt: skip
+
+
+def _shards(folder: Path) -> list[Path]:
+    """The files of one quality, in order; the first says how many.
+
+    Raises: MissingFileError for one of them, FormatError for another file among them.
+    """
+    found = sorted(folder.glob("*.parquet"))
+    said = _COUNT.search(found[0].name) if found else None
+    count = int(said[1]) if said else 1
+    wanted = [folder / _SHARD.format(i, count) for i in range(count)]
+    for path in wanted:
+        if path not in found:
+            raise MissingFileError("steps of the export are missing", where=str(path), hint=AGAIN)
+    if odd := [path for path in found if path not in wanted]:
+        raise _unannounced(odd[0])
+    return wanted
+
+
+def _unannounced(path: Path) -> FormatError:
+    return FormatError("not of the export that it lies in", where=str(path),
+                       hint="move it away; the export says nothing of it")  # fmt: skip
 
 
 def _schema(path: Path) -> Any:
@@ -205,14 +250,14 @@ def _check_rows(
     """A run of equal numbers takes no place in the format: a shape may say anything."""
     if wanted is not None and found != wanted:
         raise FormatError("not the announced number of rows", where=str(path),
-                          expected=f"{wanted:,}", found=f"{found:,}")  # fmt: skip
+                          expected=f"{wanted:,}", found=f"{found:,}", hint=AGAIN)  # fmt: skip
     fields = [schema.field(name).type for name in names if name in schema.names]
     if any(isinstance(kind, pa.ListType | pa.StructType | pa.MapType) for kind in fields):
-        raise FormatError("columns of lists of any length", where=str(path))
+        raise FormatError("columns of lists of any length", where=str(path), hint=AGAIN)
     size = found * sum(_width_bytes(kind) for kind in fields)
     if size > _MOST_COMPRESSED * path.stat().st_size + 1_000_000:
         raise FormatError("larger than a file of its size can hold", where=str(path),
-                          found=f"{found:,} rows, {size:,} bytes")  # fmt: skip
+                          found=f"{found:,} rows, {size:,} bytes", hint=AGAIN)  # fmt: skip
 
 
 def _width_bytes(kind: Any) -> int:
@@ -226,50 +271,43 @@ def _columns(table: Any, columns: Sequence[Any]) -> dict[str, NDArray[Any]]:
     return {name: arrow.array(table, name, _DTYPES[name]) for name in names}
 
 
-def _damaged(where: str, error: Exception) -> FormatError:
-    return FormatError("damaged, or not an export of mpdt", where=where,
-                       found=f"{type(error).__name__}: {error}"[:160])  # fmt: skip
-
-
 def _episodes(
-    folder: Path, manifest: Manifest, table: EpisodeTable, final: NDArray[np.float32]
-) -> Iterator[Episode]:
-    groups: dict[str, Iterator[Any]] = {}
+    shards: Mapping[str, Sequence[Path]], manifest: Manifest, table: EpisodeTable,
+    final: NDArray[np.float32],
+) -> Iterator[Episode]:  # fmt: skip
+    groups = {quality: _row_groups(paths) for quality, paths in shards.items()}
     wanted = [name for name in _STEPS if name != "success" or manifest.header.has_success]
     lengths = table.columns["length"].tolist()
     for i, code in enumerate(table.columns["quality"].tolist()):
         quality = quality_name(code)
-        rows = groups.setdefault(quality, _row_groups(folder / "data" / quality))
-        where = f"{folder}: episode {i}"
-        try:
-            steps = _read_group(next(rows), wanted, lengths[i], where)
+        if (place := next(groups[quality], None)) is None:
+            raise FormatError("too few row groups", where=str(shards[quality][-1]),
+                              expected=f"one for episode {i}", hint=AGAIN)  # fmt: skip
+        with _told(place[0]):
+            steps = _read_group(place, wanted, lengths[i], f"{place[0]}: episode {i}")
             found = {_STEPS[n]: arrow.array(steps, n, _DTYPES[_STEPS[n]]) for n in wanted}
-        except StopIteration as error:
-            raise FormatError("too few row groups", where=where, found=quality) from error
-        except _DAMAGE as error:
-            raise _damaged(where, error) from error
         found["observations"] = np.concatenate([found["observations"], final[i : i + 1]])
         yield table.episode(i, manifest, found)
+    for rows in groups.values():
+        if (place := next(rows, None)) is not None:
+            raise FormatError("more row groups than the export has episodes",
+                              where=str(place[0]), hint=AGAIN)  # fmt: skip
 
 
-def _check_widths(folder: Path, header: FileHeader) -> None:
+def _check_widths(paths: Sequence[Path], header: FileHeader) -> None:
     """Raises: FormatError before anything is reserved for vectors of another size."""
     wanted = {"observation": header.observation_size, "action": header.action_size}
-    for path in sorted(folder.glob("data/*/*.parquet")):
-        try:
+    for path in paths:
+        with _told(path):
             schema = _schema(path)
             found = {name: int(schema.field(name).type.list_size) for name in wanted}
-        except (*_DAMAGE, AttributeError) as error:
-            if isinstance(error, MpdtError):
-                raise
-            raise _damaged(str(path), error) from error
         if found != wanted:
             raise FormatError("vectors of another size than the export says", where=str(path),
-                              expected=str(wanted), found=str(found))  # fmt: skip
+                              expected=str(wanted), found=str(found), hint=AGAIN)  # fmt: skip
 
 
-def _row_groups(folder: Path) -> Iterator[tuple[Path, Any, int]]:
-    for path in sorted(folder.glob("*.parquet")):
+def _row_groups(paths: Sequence[Path]) -> Iterator[tuple[Path, Any, int]]:
+    for path in paths:
         refuse_other(path, "a Parquet file", "a Parquet file")
         with pq.ParquetFile(path) as file:
             for number in range(file.num_row_groups):
@@ -282,7 +320,7 @@ def _read_group(place: tuple[Path, Any, int], wanted: list[str], length: int, wh
     found = file.metadata.row_group(number).num_rows
     if found != length:
         raise ShapeError("not its number of steps", where=where, expected=str(length),
-                         found=str(found))  # fmt: skip
+                         found=str(found), hint=AGAIN)  # fmt: skip
     _check_rows(path, file.schema_arrow, wanted, found, length)
     names = [name for name in wanted if name in file.schema_arrow.names]
     return file.read_row_group(number, columns=names, use_threads=False)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from mpdt.data.episode import Episode
 from mpdt.data.exchange import foreign
 from mpdt.data.exchange.claims import Said
-from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import Source, quality_code, quality_name
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.pickle_machine import kind_of
@@ -58,7 +58,7 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     """
     rules, files = foreign.given(rules), files_below(paths, ".pkl")
     goals = _goals(files, rules.family)
-    sources, remarks = [], []
+    sources, remarks = [], left_out(paths, files)
     for path in files:
         if _CONFIG.fullmatch(path.name):
             continue

@@ -134,7 +134,7 @@ def _damaged(path: Path, what: str) -> FormatError:
     return FormatError(
         what,
         where=str(path),
-        hint=f"take it from version control again; or move it away: collect writes a new {FILE_NAME}",
+        hint=f"take it from version control, or move it away: collect writes a new {FILE_NAME}",
     )
 
 

@@ -140,8 +140,9 @@ def _send(place: Place, source: Path, path: str, digest: str, check: bool, tell:
     """One file under a temporary name, compared, renamed; returns the bytes that moved."""
     temporary, size = f"{path}.{digest[:8]}.part", source.stat().st_size
     if place.is_folder and Path(temporary).is_symlink():
-        raise StorageError("a link is in the way", where=temporary,
-                           hint="move it away, it is not ours")
+        raise StorageError(
+            "a link is in the way", where=temporary, hint="move it away, it is not ours"
+        )
     there = _size(place, temporary) if place.can_append else 0
     start = sent = there if there <= size else 0
     while True:

@@ -46,7 +46,7 @@ def read_book(path: Path, kind: type[Entry], format: str, what: str) -> tuple[En
         book = msgspec.json.decode(content, type=_Book[kind])  # type: ignore[valid-type]
     except (ValueError, RecursionError) as error:
         raise DataError(f"not a {what}", where=str(path), found=str(error),
-                        hint="take it from version control or another copy, or move it away") from error  # fmt: skip
+                        hint="take another copy of it, or move it away") from error  # fmt: skip
     if book.format != format:
         raise DataError(f"another format of {what}", where=str(path), expected=format,
                         found=book.format)  # fmt: skip

@@ -111,4 +111,4 @@ def _check_together(path: Path, file: CellFile, seen: Seen) -> None:
             raise FormatError(f"other {block} tasks of {method} than {earlier.name}",
                               where=str(path),
                               found=f"in one of them only: {', '.join(differing)}",
-                              hint="move the damaged one away; its study makes it again")  # fmt: skip
+                              hint="move away the damaged one; its study makes it")  # fmt: skip

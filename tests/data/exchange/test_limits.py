@@ -136,3 +136,63 @@ def test_metadata_without_end(run: Make, exported: Make) -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | {"x": "[" * 50_000}))
     path.write_text("[" * 50_000)
     assert run("import", folder, "--from", "minari", "-o", "x.h5") == 1
+
+
+def test_what_an_export_does_not_announce(
+    exported: Make, run: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Steps nobody asked about are an error, anything else is told."""
+    folder = exported("parquet")
+    shard = folder / "data/expert/train-00000-of-00001.parquet"
+    (folder / "data/none").mkdir()
+    names = ("train-00001-of-00002.parquet", "train-00001-of-00001.parquet", "z.parquet")
+    others = [
+        *map(shard.with_name, names),
+        folder / "a.parquet",
+        folder / f"data/none/{shard.name}",
+    ]
+    for path in others:
+        path.symlink_to(shard.absolute())
+        assert run("import", folder, "--from", "parquet", "-o", "x.h5") == 1
+        assert f"{path}: not of the export that it lies in" in capsys.readouterr().err
+        path.unlink()
+    twice = pa.concat_tables([pq.read_table(shard, partitioning=None)] * 2)
+    whole = shard.read_bytes()
+    shard.unlink()
+    assert run("import", folder, "--from", "parquet", "-o", "x.h5") == 2
+    assert f"{shard}: steps of the export are missing" in capsys.readouterr().err
+    pq.write_table(twice, shard, row_group_size=5)
+    assert run("import", folder, "--from", "parquet", "-o", "x.h5") == 1
+    assert f"{shard}: more row groups than the export has episodes" in capsys.readouterr().err
+    shard.write_bytes(whole)
+    (folder / "notes.txt").touch()
+    assert run("import", folder, "--from", "parquet", "-o", "x.h5") == 0
+    told = capsys.readouterr().err
+    assert f"left out {folder / 'notes.txt'}: not of this format" in told and "README" not in told
+
+
+@pytest.mark.parametrize("form", ["minari", "d4rl", "promptdt", "npz"])
+def test_other_files_in_a_folder_are_told(
+    exported: Make, run: Make, capsys: pytest.CaptureFixture[str], form: str
+) -> None:
+    folder = exported(form)
+    capsys.readouterr()
+    words = ("--family", "cheetah_dir", "--horizon", 5) if form in ("d4rl", "promptdt") else ()
+    assert run("import", folder, "--from", form, *words, "-o", "x.h5") == 0
+    assert "left out out" not in capsys.readouterr().err
+    (folder / "more.tar.gz").touch()
+    assert run("import", folder, "--from", form, *words, "-o", "y.h5") == 0
+    assert f"left out {folder / 'more.tar.gz'}: not of this format" in capsys.readouterr().err
+
+
+def test_members_of_one_name_and_of_other_names(
+    exported: Make, run: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = exported("npz") / "tiny.npz"
+    one_more_member(path, "notes", 1)
+    assert run("import", path, "--from", "npz", "-o", "x.h5") == 0
+    assert f"left out of {path}: notes.npy" in capsys.readouterr().err
+    with pytest.warns(UserWarning, match="Duplicate name"):
+        one_more_member(path, "rewards", 1)
+    assert run("import", path, "--from", "npz", "-o", "y.h5") == 1
+    assert "two members are called rewards.npy" in capsys.readouterr().err
