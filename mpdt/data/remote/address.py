@@ -2,13 +2,14 @@
 
     sftp://ann:pw@host/x.h5           sftp://***@host/x.h5
     https://host/x.h5?Signature=ab#c  https://host/x.h5?***
+    https://host/x.h5;sig=ab          https://host/x.h5;***
     hf://datasets/me/set@main/x.h5    as it is: a revision, no user
 
-Of user, password, query and fragment nothing stays, whatever they hold: a password may be typed
-with the very marks that a URL would have to escape, so all before the last @ goes, and all of it
-where a ? or # before that @ leaves open which part is which. `mpdt-data` hides what was typed
-before anything else sees it, and `revealed` gives it to the library that connects. Nothing here
-imports more than the standard library.
+Of user, password, parameters, query and fragment nothing stays, whatever they hold: a password
+may be typed with the very marks that a URL would have to escape, so all before the last @ goes,
+and all of it where a ? or # before that @ leaves open which part is which. `mpdt-data` hides what
+was typed before anything else sees it, and `revealed` gives it to the library that connects.
+Nothing here imports more than the standard library.
 """
 
 from __future__ import annotations
@@ -46,7 +47,15 @@ def hidden(url: str) -> str:
     """The URL with `***` where its user, password, query or fragment was."""
     start, user, place, query = _parts(url)
     end = query[:1] * bool(place) + MARK if query else ""
+    if start.rstrip(":/") not in _OF_NO_USER:
+        place = without_parameters(place)
     return start + f"{MARK}@" * bool(user) + place + end
+
+
+def without_parameters(place: str) -> str:
+    """A path with `;***` for all from its first parameter on, which may hold slashes."""
+    path, mark, _ = place.partition(";")
+    return path + mark + MARK * bool(mark)
 
 
 def hide(words: Sequence[str]) -> list[str]:
@@ -73,4 +82,6 @@ def without_secrets(text: str, url: str) -> str:
 def last_name(url: str) -> str:
     """`x.h5` of `sftp://host/data/x.h5`; empty for a URL that ends with a slash, or a bare host."""
     start, _, place, _ = _parts(url)
+    if start:
+        place = place.partition(";")[0]
     return place.rpartition("/")[2] if "/" in place or not start else ""

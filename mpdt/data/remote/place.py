@@ -7,16 +7,18 @@ libraries: keys and known hosts in ~/.ssh, ~/.aws, the hub's own login, fsspec's
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import fsspec
 from fsspec.registry import known_implementations
 
 from mpdt.data.remote import objects
-from mpdt.data.remote.address import hidden, without_secrets
+from mpdt.data.remote.address import hidden, without_parameters, without_secrets
 from mpdt.data.remote.failure import (
     NoRangesError,
     RefusedError,
@@ -26,12 +28,14 @@ from mpdt.data.remote.failure import (
     status_of,
 )
 from mpdt.disk import put_file, write_bytes
-from mpdt.errors import MissingFileError, MpdtError, RemoteError, unknown_name
+from mpdt.errors import MissingFileError, MpdtError, RemoteError, UsageError, unknown_name
 
 CHUNK_BYTES = 1 << 18
 MOST_TEXT_BYTES = 1 << 24  # of a list of sums; 100,000 files have one of 10 MB
 _APPEND = {"file", "local", "memory", "sftp", "ssh"}
-_READ_ONLY = {"http", "https"}
+_READ_ONLY, _WEBDAV = {"http", "https"}, ("webdav", "webdavs")
+_WITH_HOST = {*_READ_ONLY, *_WEBDAV, "sftp", "ssh", "ftp"}
+_HOST = re.compile(r"[\w.-]+|[\da-fA-F:.]+")
 # What file systems call the state of a file. An access time is none.
 _VERSIONS = ("ETag", "etag", "Content-MD5", "md5", "sha256", "blob_id", "oid", "mtime",
              "modified", "last_modified", "LastModified", "Last-Modified")  # fmt: skip
@@ -42,11 +46,13 @@ class Place:
 
     Args:
         url: with whatever secrets it has; `address` is without.
-    Raises: UsageError for an unknown protocol or one whose package is missing; RemoteError.
+    Raises: UsageError for what is no URL, for an unknown protocol or one whose package is missing;
+        RemoteError.
     """
 
     def __init__(self, url: str) -> None:
         self._url, self.address = url, hidden(url)
+        _check(url, self.address)
         self.protocol = url.partition("://")[0] if "://" in url else "file"
         self.can_append = self.protocol in _APPEND
         self.is_read_only = self.protocol in _READ_ONLY
@@ -67,7 +73,7 @@ class Place:
             return
         if self.protocol in ("sftp", "ssh"):
             self.fs.client.close()
-        elif self.protocol in ("webdav", "webdavs"):
+        elif self.protocol in _WEBDAV:
             self.fs.client.http.close()
 
     def reconnect(self) -> None:
@@ -75,7 +81,7 @@ class Place:
         self.close()
         with self.told(connecting=True):
             options: dict[str, Any] = {"skip_instance_cache": True}
-            if self.protocol in ("webdav", "webdavs"):  # webdav4 does not read URLs
+            if self.protocol in _WEBDAV:  # webdav4 does not read URLs
                 host, _, self.path = self._url.partition("://")[2].partition("/")
                 scheme = self.protocol.replace("webdav", "http")
                 self.fs = fsspec.filesystem("webdav", base_url=f"{scheme}://{host}", **options)
@@ -93,7 +99,9 @@ class Place:
             try:
                 self.fs.invalidate_cache()
                 found: dict[str, Any] = self.fs.info(path)
-            except FileNotFoundError:
+            except FileNotFoundError as error:
+                if self.is_read_only and not is_absence(error):  # fsspec's word for any failure
+                    raise
                 return None
             return found
 
@@ -183,7 +191,7 @@ class Place:
 
     def shown(self, path: str) -> str:
         """A path of this place to print or store; a web server's is a URL with its secrets."""
-        return hidden(path)
+        return without_parameters(path) if self.protocol in _WEBDAV else hidden(path)
 
     def make_folder(self, path: str) -> None:
         """The folder of `path`; a refusal is left to the write. Object stores have none."""
@@ -204,7 +212,7 @@ class Place:
     def rename(self, old: str, new: str) -> None:
         """In one step where the protocol has one; what was at `new` is gone."""
         with self.told():
-            if self.protocol in ("webdav", "webdavs"):
+            if self.protocol in _WEBDAV:
                 self.fs.client.move(old, new, overwrite=True)  # its mv refuses to
             elif self.is_folder:
                 put_file(Path(old), Path(new))
@@ -245,6 +253,24 @@ class Place:
         status = status_of(error)
         text = text or (f"status {status}" if status else "")
         return f"{type(error).__name__}: {text}"[:300] if text else type(error).__name__
+
+
+def _check(url: str, address: str) -> None:
+    """Raises: UsageError for what is meant to be a URL and none. Any other text is a path."""
+    protocol, colon, rest = url.partition(":/")
+    if not colon or not re.fullmatch(r"[A-Za-z][\w+.-]+", protocol) or Path(url).exists():
+        return
+    try:
+        parts = urlsplit(url)
+        host, _ = parts.hostname or "", parts.port
+    except ValueError:  # brackets, or a port that is no number
+        host = ""
+    needs_host = protocol.lower() in _WITH_HOST
+    if not rest.startswith("/") or (needs_host and not _HOST.fullmatch(host)):
+        raise UsageError("not a URL", where=address,
+                         expected="PROTOCOL://HOST/PATH, such as sftp://host/data/x.h5",
+                         hint="marks in a user or password are escaped: %40 for @, %23 for "
+                              "#" if "@" in url else "")  # fmt: skip
 
 
 def _known_hosts_only() -> Any:

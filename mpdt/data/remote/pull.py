@@ -7,6 +7,7 @@ folder.part/...   an export on its way       folder           all files, each wi
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mpdt.data.remote.address import last_name
+from mpdt.data.remote.failure import RefusedError
 from mpdt.data.remote.part import Part, part_of, take_part
 from mpdt.data.remote.place import Place
 from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, loaded, prove
@@ -64,16 +66,22 @@ def pull(
                                    hint=f"mkdir -p {quoted(target.parent)}")  # fmt: skip
         # A signature is for one file alone: nothing lies beside it.
         stack.enter_context(holding(target, wait_s=0, kept="what came so far is kept"))
-        is_signed = place.is_read_only and "?" in place.path
+        is_signed = place.is_read_only and bool(re.search("[?;]", place.path))
         if not is_signed and (content := place.read(place.path + SUFFIX)):
             return _pull_file(place, target, _single(content, place), lock, tell)
-        is_file = place.state(place.path) is not None
+        refused: list[RefusedError] = []
+        try:
+            is_file = place.state(place.path) is not None
+        except RefusedError as error:  # some servers say so of any folder
+            refused, is_file = [error], False
         # Of a folder, a web server shows a page of links.
         may_be_folder = not is_signed and (place.is_read_only or not is_file)
         list_path = f"{place.path.rstrip('/')}/{FILE_NAME}"
         if may_be_folder and (content := place.read(list_path)):
             sums = loaded(content, f"{place.address}/{FILE_NAME}")
             return _pull_folder(place, target, sums, lock, tell)
+        if refused:
+            raise refused[0]
         if not is_file:
             raise MissingFileError("no file there, and no folder with a list of sums",
                                    where=place.address, expected=f"a file, or {FILE_NAME} in it",

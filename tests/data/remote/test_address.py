@@ -26,6 +26,9 @@ from mpdt.data.remote.address import hidden, hide, last_name, revealed, without_
         ("https://host/x?X-Sig=ab&k=c", "https://host/x?***"),
         ("https://host/x?sig", "https://host/x?***"),
         ("https://host/x#sig", "https://host/x#***"),
+        ("https://host/x;sig=ab", "https://host/x;***"),
+        ("https://host/d;sig=a/b?q", "https://host/d;***?***"),
+        ("s3://bucket/a;b/x.h5", "s3://bucket/a;b/x.h5"),
         ("https:/ann:pw@host/x", "https:/***@host/x"),
         ("simplecache::https://ann:pw@host/x", "simplecache::https://***@host/x"),
         ("zip://a.h5::https://ann:pw@host/x.zip", "zip://***@host/x.zip"),
@@ -46,7 +49,7 @@ SECRET = st.text(string.ascii_letters + string.digits + ":/?#@&=%+ '\"\\é", min
 
 @given(SECRET, SECRET)
 def test_no_secret_of_any_shape_is_shown(user: str, password: str) -> None:
-    url = f"https://§{user}§:§{password}§@host.example/data/x.h5?sig=§{password}§#§{user}§"
+    url = f"https://§{user}§:§{password}§@host.example/d;§{user}§/x.h5;k=§{user}§?sig=§{password}§#§{user}§"
     assert "§" not in hidden(url) and "§" not in last_name(url)
 
 
@@ -59,6 +62,7 @@ def test_a_librarys_words() -> None:
 def test_last_name() -> None:
     assert last_name("https://host/data/x.h5?sig=1/2") == "x.h5"
     assert last_name("https://host/data/x.h5#a/b") == "x.h5"
+    assert last_name("https://host/data/x.h5;sig=ab") == "x.h5"
     assert last_name("https://ann:s3cret@host") == ""
     assert last_name("sftp://host/data/") == ""
     assert last_name("data/x.h5") == last_name("x.h5") == "x.h5"

@@ -278,6 +278,7 @@ def test_passwords_appear_nowhere(
         patch.setattr("mpdt.data.remote.pull.pull", interrupted)
         seen += run("pull", good)
     assert "go on with: mpdt-data pull 'sftp://***@" in seen[-1]
+    seen += run("pull", "http://127.0.0.1:1/x.h5;sig=s3cret/y;sig=s3cret", "-v")
     wrong = good.replace("s3cret", "s3cret2")
     (tmp_path / ".ssh").mkdir()
     shutil.copy(keys / ".ssh/known_hosts", tmp_path / ".ssh/known_hosts")  # still no key
@@ -303,6 +304,15 @@ def test_passwords_appear_nowhere(
         (("push", "no.h5", "https://h/x"), 2, "http is read only"),
         (("pull", "memory://x", "-o", "no/x.h5"), 2, "folder does not exist"),
         (("pull", "sftp://127.0.0.1:1/x"), 1, "the same command goes on from here"),
+        (("pull", "http://127.0.0.1:1/x.h5"), 1, "cannot be reached"),
+        (("pull", "http://127.0.0.1:1/x.h5?k=v"), 1, "cannot be reached"),
+        (("pull", "http://127.0.0.1:1/x.h5;k=v"), 1, "cannot be reached"),
+        (("pull", "http:///x.h5"), 2, "not a URL"),
+        (("pull", "http:/host/x.h5"), 2, "not a URL"),
+        (("pull", "http://[::1/x.h5"), 2, "not a URL"),
+        (("pull", "https://ho st/x.h5"), 2, "not a URL"),
+        (("pull", "sftp://host:port/x.h5"), 2, "PROTOCOL://HOST/PATH"),
+        (("pull", "webdav://ann:p#w@host/x.h5"), 2, "%23 for #"),
     ],
 )
 def test_mistakes_are_one_clear_error(
