@@ -206,7 +206,7 @@ def _finished(asked: RollOuts, target: Path) -> Dataset | None:
         last = dataset.lineage[-1] if dataset.lineage else {}
         found = f"made by {last.get('verb', 'collect or import')}"
         if last.get("verb") == VERB:
-            if (last["rule"], last["from"]) == (asked.rule, [asked.origin.content_hash]):
+            if (last.get("rule"), last["from"]) == (asked.rule, [asked.origin.content_hash]):
                 return dataset
             found = "roll-outs of another policy, of other data or by another rule"
     except FormatError as error:

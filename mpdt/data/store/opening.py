@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import h5py
+import numpy as np
 
 from mpdt.data.store import layout
 from mpdt.data.store.origin import damaged_hint, missing_hint
@@ -165,6 +166,7 @@ def _check_header(file: h5py.File, path: Path, unfinished: bool = False) -> None
         raise FormatError("another format version", where=where, expected=layout.FORMAT,
                           found=f"mpdt/{major}",
                           hint=f"an mpdt release that writes mpdt/{major} reads it")  # fmt: skip
-    if not unfinished and int(file.attrs.get("complete", 0)) != 1:
+    complete = file.attrs.get("complete", 0)
+    if not unfinished and not (np.ndim(complete) == 0 and complete == 1):
         raise FormatError("incomplete: its writer was stopped", where=where,
                           hint=damaged_hint(path))  # fmt: skip

@@ -10,6 +10,7 @@ import warnings
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -181,7 +182,7 @@ def _read(file: Opened, path: Path, arrays: _Arrays, checked: bool = True) -> Da
         parent=tree.text("", "parent"),
         lineage=_read_lineage(tree),
         # The writer reads its file back before it is sealed; `check_tree` insists on one.
-        seal=str(tree.attributes("").get(ATTRIBUTE, "")),
+        seal=tree.text("", ATTRIBUTE) if ATTRIBUTE in tree.attributes("") else "",
         packages=tree.json("", "packages"),
         platform=tree.json("", "platform"),
         tasks=_read_tasks(found["tasks"], family),
@@ -223,8 +224,26 @@ def _read_lineage(tree: Tree) -> tuple[dict[str, Any], ...]:
     """The steps since the file was collected; none in a file that says nothing about them."""
     if "lineage" not in tree.attributes("") and "lineage" not in tree.arrays:
         return ()
-    steps = tree.json("", "lineage")["steps"]
-    return tuple({**step, "from": [str(hash) for hash in step["from"]]} for step in steps)
+    steps = tree.json("", "lineage").get("steps")
+    _typed(steps, list[_Step], tree, "its lineage")
+    return tuple(steps)
+
+
+class _Step(msgspec.Struct, frozen=True):
+    """What every step of a lineage has; other keys may stand beside."""
+
+    verb: str
+    sources: list[str] = msgspec.field(name="from")
+    rule: dict[str, Any] | None = None
+
+
+def _typed(value: Any, kind: Any, tree: Tree, what: str) -> Any:
+    """Raises: FormatError for a value of another type than the format writes."""
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        raise FormatError(f"{what} is not as the format has it", where=tree.where,
+                          found=str(error), hint=layout.FOREIGN_HINT) from error  # fmt: skip
 
 
 def _read_tasks(present: dict[str, Array], family: str) -> tables.Tasks:
@@ -250,8 +269,13 @@ def _read_stats(tree: Tree) -> tables.Stats:
     return tables.Stats(
         fields=fields,
         slice=tree.text("stats", "slice"),
-        tasks_seen=tuple(int(row) for row in tree.attributes("stats")["tasks_seen"]),
-        constant={name: tuple(columns) for name, columns in tree.json("stats", "constant").items()},
+        tasks_seen=tuple(tree.integers("stats", "tasks_seen")),
+        constant={
+            name: tuple(columns)
+            for name, columns in _typed(
+                tree.json("stats", "constant"), dict[str, list[int]], tree, "/stats constant"
+            ).items()
+        },
     )
 
 

@@ -140,7 +140,8 @@ class Tree:
     def text(self, group: str, key: str) -> str:
         """What `layout.write_text` stored.
 
-        Raises: FormatError where there is neither attribute nor array; UnicodeError.
+        Raises: FormatError where there is neither attribute nor array, or no text in it;
+            UnicodeError.
         """
         path = f"{group}/{key}".lstrip("/")
         value = self.attributes(group).get(key)
@@ -149,7 +150,20 @@ class Tree:
         if value is None:
             raise FormatError(f"attribute '{key}' of /{group} is missing", where=self.where,
                               hint="the file is damaged or foreign; take another copy")  # fmt: skip
-        return value.decode("utf-8") if isinstance(value, bytes) else str(value)
+        if not isinstance(value, bytes | str):
+            raise self._mistyped(group, key, "text", value)
+        return value.decode("utf-8") if isinstance(value, bytes) else value
+
+    def integers(self, group: str, key: str) -> list[int]:
+        """A short list of whole numbers. Raises: FormatError for anything else."""
+        value = self.attributes(group).get(key)
+        if not (isinstance(value, np.ndarray) and value.dtype.kind in "iu"):
+            raise self._mistyped(group, key, "whole numbers", value)
+        return [int(number) for number in value]
+
+    def _mistyped(self, group: str, key: str, wanted: str, value: Any) -> FormatError:
+        return FormatError(f"attribute '{key}' of /{group} is not {wanted}", where=self.where,
+                           found=ascii(value)[:60], hint=layout.FOREIGN_HINT)  # fmt: skip
 
     def json(self, group: str, key: str) -> dict[str, Any]:
         """What `layout.write_json` stored. Raises: FormatError for anything but a JSON object."""

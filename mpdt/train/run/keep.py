@@ -96,7 +96,7 @@ class KeptRow:
             lineage = open_dataset(self.path).lineage
             last = lineage[-1] if lineage else {}
             if (last.get("verb"), last.get("from")) == (VERB, [self.origin.content_hash]) and (
-                last["rule"]["fingerprint"] == self.acted.fingerprint.hex()
+                (last.get("rule") or {}).get("fingerprint") == self.acted.fingerprint.hex()
             ):
                 return
             found = f"made by {last.get('verb', 'collect or import')}"

@@ -180,7 +180,21 @@ def retype(name, values):
         (attribute("spec", "{"), "not JSON"),
         (attribute("spec", "[]"), "not a JSON object"),
         (attribute("name", np.bytes_(b"\xff")), "damaged; found UnicodeDecodeError"),
-        (attribute("complete", "yes"), "damaged; found ValueError"),
+        (attribute("complete", "yes"), "incomplete"),
+        (attribute("complete", [1]), "incomplete"),
+        (attribute("name", np.arange(3)), "attribute 'name' of / is not text; found array"),
+        (attribute("name", 5), "attribute 'name' of / is not text"),
+        (attribute("license", np.zeros(0)), "attribute 'license' of / is not text"),
+        (attribute("spec", 1.5), "attribute 'spec' of / is not text"),
+        (attribute("lineage", "{}"), "its lineage is not as the format has it"),
+        (
+            attribute("lineage", '{"steps": [{"verb": 1, "from": []}]}'),
+            "Expected `str`, got `int` - at `$[0].verb`",
+        ),
+        (
+            attribute("lineage", '{"steps": [{"verb": "drop", "from": "abc"}]}'),
+            "Expected `array`, got `str` - at `$[0].from`",
+        ),
         (put("tasks/role", 1, 3), "/tasks/role points outside its table"),
         (retype("steps/rewards", np.zeros(7)), "/steps/rewards has the wrong type; expected <f4"),
         (retype("steps/rewards", np.zeros(6, "<f4")), "/steps/rewards has the wrong shape"),
@@ -246,6 +260,10 @@ def test_statistics_of_test_tasks_are_refused(made):
     amend(path, put("tasks/role", 1, 1))
     with pytest.raises(FormatError, match="statistics saw test tasks; found backward"):
         open_dataset(path)
+    for key, value in (("constant", '{"x": "ab"}'), ("tasks_seen", b"01"), ("tasks_seen", [0.5])):
+        amend(path, lambda file, k=key, v=value: file["stats"].attrs.__setitem__(k, v))
+        with pytest.raises(FormatError, match=f"{key}.* is not"):
+            open_dataset(path)
 
 
 def test_tta_sets_carry_no_reward(made):
