@@ -23,6 +23,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import re
 import shlex
 from collections.abc import Iterable
 from pathlib import PurePath
@@ -32,7 +33,7 @@ class MpdtError(Exception):
     """Something the user can mend.
 
     Args:
-        what: what is wrong, one line.
+        what: what is wrong; one line, or `Lines`.
         where: file, key or episode it is about.
         expected, found: the two sides of the disagreement, where there are two.
         hint: what to do next, ideally a command to type.
@@ -49,16 +50,16 @@ class MpdtError(Exception):
 
     def message(self) -> str:
         """One line: `where: what; expected E, found F`, with nothing a terminal would obey."""
-        what = visible(self.what, lines=True)
-        line = f"{visible(self.where)}: {what}" if self.where else what
-        sides = [f"expected {visible(self.expected)}"] if self.expected else []
-        sides += [f"found {visible(self.found)}"] if self.found else []
+        what = _shown(self.what)
+        line = f"{_shown(self.where)}: {what}" if self.where else what
+        sides = [f"expected {_shown(self.expected)}"] if self.expected else []
+        sides += [f"found {_shown(self.found)}"] if self.found else []
         return "; ".join([line, ", ".join(sides)]) if sides else line
 
     def render(self) -> str:
         """The text the command lines print on stderr, without colour."""
         text = f"error: {self.message()}"
-        return f"{text}\nhint:  {visible(self.hint, lines=True)}" if self.hint else text
+        return f"{text}\nhint:  {_shown(self.hint)}" if self.hint else text
 
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions cross process borders; the default would lose the keyword arguments.
@@ -126,6 +127,36 @@ class TrainingError(MpdtError, RuntimeError):
     pass
 
 
+def told(error: MpdtError | OSError) -> MpdtError:
+    """An error as the command lines tell it; also of a path that the system will not look at.
+
+    Raises: OSError, the same, where it is about no path.
+    """
+    if isinstance(error, MpdtError):
+        return error
+    if error.filename is None:
+        raise error
+    return StorageError("the system refuses", where=str(error.filename), found=str(error.strerror))
+
+
+class Lines(str):
+    """Several lines, the first of them a heading; a line end inside of one is shown as text."""
+
+    @classmethod
+    def of(cls, heading: str, *lines: str) -> Lines:
+        return cls("\n  ".join(map(visible, (heading, *lines))))
+
+
+_LONG = re.compile(r"\S{513,}")
+"""No name is as long; a terminal would show nothing else."""
+
+
+def _shown(text: str) -> str:
+    """As a terminal may show it, with the middle of endless words left out."""
+    short = _LONG.sub(lambda word: f"{word[0][:160]}[...]{word[0][-80:]}", text)
+    return visible(short, lines=isinstance(text, Lines))
+
+
 def visible(text: str, lines: bool = False) -> str:
     """The text as a terminal may show it: control characters, and those that turn the direction
     of writing, as `\\x1b` and `\\u202e`. Names in a file may hold any.
@@ -157,8 +188,18 @@ def _escaped(char: str) -> str:
 def quoted(word: object) -> str:
     """A value as one word of a command that somebody will type."""
     text = str(word)
+    if not text.isprintable():  # what a shell takes for it, and a terminal does not obey
+        return "$'" + "".join(map(_in_shell, text)) + "'"
     is_option = isinstance(word, PurePath) and text.startswith("-")
     return shlex.quote(f"./{text}" if is_option else text)
+
+
+def _in_shell(char: str) -> str:
+    if char in "\\'":
+        return f"\\{char}"
+    if "\udc80" <= char <= "\udcff":  # a byte of a file name that is no text
+        return f"\\x{ord(char) - 0xDC00:02x}"
+    return char if char.isprintable() else _escaped(char)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

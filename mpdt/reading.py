@@ -54,11 +54,20 @@ def refuse_special(path: Path) -> os.stat_result:
     try:
         found = path.stat()
     except FileNotFoundError as error:
-        raise MissingFileError("no such file", where=str(path)) from error
+        raise missing(path) from error
     except (OSError, ValueError) as error:  # a loop of links, a name with NUL
         raise StorageError("cannot be opened", where=str(path), found=str(error)) from error
     _refuse(path, found)
     return found
+
+
+def missing(path: Path, what: str = "no such file") -> MissingFileError:
+    """The error for a path that leads to nothing; a link is told as one."""
+    if path.is_symlink():
+        return MissingFileError("a link that leads nowhere", where=str(path),
+                                found=str(path.readlink()), hint="mend it, or move it away"
+                                )  # fmt: skip
+    return MissingFileError(what, where=str(path))
 
 
 def open_plain(path: Path) -> BinaryIO:
@@ -68,7 +77,7 @@ def open_plain(path: Path) -> BinaryIO:
         # Should a pipe have taken its place meanwhile, this does not wait for its writer.
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError as error:
-        raise MissingFileError("no such file", where=str(path)) from error
+        raise missing(path) from error
     except OSError as error:
         raise StorageError("cannot be opened", where=str(path), found=str(error)) from error
     stream = os.fdopen(handle, "rb")

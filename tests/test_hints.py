@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import ast
+import pickle
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 
 import mpdt
-from mpdt.errors import DataError, quoted, visible
+from mpdt.errors import DataError, Lines, quoted, unknown_name, visible
 
 PACKAGE = Path(mpdt.__file__).parent
 COMMAND = re.compile(r"(\b(mpdt-data|mpdt-train|mkdir|kill|chmod|rm|mv|cp|ssh) |--[a-z-]+[ =]$)")
@@ -96,11 +99,29 @@ def test_what_a_terminal_would_obey_is_shown_as_text(name: str, shown: str) -> N
 
 
 def test_a_name_cannot_begin_a_line_of_its_own() -> None:
-    error = DataError("two mistakes\n  a\n  b", where="x.h5\nhint: rm -rf ~", hint="see\nx")
-    assert error.render() == ("error: x.h5\\nhint: rm -rf ~: two mistakes\n  a\n  b\nhint:  see\nx")
+    mistakes = Lines.of("two mistakes", "a\nhint: c", "b")
+    error = pickle.loads(pickle.dumps(DataError(mistakes, where="x.h5\nhint: rm", hint="see\nx")))
+    shown = "error: x.h5\\nhint: rm: two mistakes\n  a\\nhint: c\n  b\nhint:  see\\nx"
+    assert error.render() == shown
+    assert unknown_name("verb", "a\nhint: b", ["c"]).render().count("\n") == 1
+
+
+def test_the_middle_of_endless_names_is_left_out() -> None:
+    shown = DataError("x" * 513, where="a/" * 999, found="y " * 999).render()
+    assert "x" * 160 + "[...]" + "x" * 80 in shown and "a/" * 80 + "[...]" in shown
+    assert len(shown) < 2600 and "x" * 512 in DataError("x" * 512).render()
 
 
 def test_quoted() -> None:
     assert quoted("ml10.h5") == "ml10.h5"
     assert quoted("x; touch PWNED #") == "'x; touch PWNED #'"
     assert quoted(Path("-rf")) == "./-rf"
+    assert quoted("a\nb") == "$'a\\nb'" and visible(quoted("a\x1b\u202e")) == quoted("a\x1b\u202e")
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_a_quoted_name_is_one_word_of_a_shell() -> None:
+    names = ["a\nb", "it's\t\\", "\x1b[2J", "\u202eh5", "\udcff x\x07", "$(x)\r`y`"]
+    line = "printf '%s\\0' " + " ".join(map(quoted, names))
+    found = subprocess.run(["bash", "-c", line], env={"LC_ALL": "C.UTF-8"}, capture_output=True)
+    assert found.stdout.decode("utf-8", "surrogateescape").split("\0")[:-1] == names

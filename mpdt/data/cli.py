@@ -37,7 +37,7 @@ from mpdt.data.verbs.reference import Reference
 from mpdt.data.verbs.remote import Pull, Push
 from mpdt.data.verbs.trust import Lock, Verify
 from mpdt.data.workers.processes import pin_kernel
-from mpdt.errors import MpdtError, UsageError, unknown_name, visible
+from mpdt.errors import MpdtError, UsageError, told, unknown_name, visible
 from mpdt.interruption import Interrupted, interruptible
 from mpdt.pipe import reader_may_leave
 
@@ -88,11 +88,12 @@ def _answer(argv: Sequence[str] | None) -> int:
     try:
         with interruptible():
             _parse(words).run()
-    except MpdtError as error:
+    except (MpdtError, OSError) as error:
+        shown = told(error)
         if "-v" in words or "--verbose" in words:
             traceback.print_exc()
-        sys.stderr.write(error.render() + "\n")
-        return error.exit_code
+        sys.stderr.write(shown.render() + "\n")
+        return shown.exit_code
     except Interrupted as stop:
         again = [word for word in words if word != "--restart"]
         hint = visible(f"interrupted; go on with: mpdt-data {shlex.join(again)}")

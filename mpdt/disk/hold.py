@@ -19,7 +19,6 @@ import fcntl
 import glob
 import logging
 import os
-import shlex
 import shutil
 import stat
 import threading
@@ -104,8 +103,9 @@ def holding(
     with disk(target):
         path = real_path(target)
         if not path.parent.is_dir():
-            raise StorageError("folder does not exist", where=str(target.parent),
-                               hint=f"mkdir -p {shlex.quote(str(target.parent))}")  # fmt: skip
+            parent = path.parent if target.is_symlink() else target.parent
+            raise StorageError("folder does not exist", where=str(parent),
+                               hint=f"mkdir -p {quoted(parent)}")  # fmt: skip
         holds: dict[Path, Hold] = _mine.__dict__.setdefault("holds", {})
         cover = holds.get(path) or next((holds[p] for p in holds if _covers(p, path)), None)
         if cover is not None and cover.pid != os.getpid():  # a forked child holds nothing

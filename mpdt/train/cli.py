@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from mpdt.data.remote.address import hide
-from mpdt.errors import MpdtError, visible
+from mpdt.errors import MpdtError, told, visible
 from mpdt.pipe import reader_may_leave
 from mpdt.train.acting import judge, judge_others, roll_out, until_stopped
 from mpdt.train.options import (
@@ -93,11 +93,12 @@ def _answer(verb: str, arguments: list[str]) -> int:
             args=arguments, return_unknown_args=True,
         )  # fmt: skip
         return execute(command, rest)
-    except MpdtError as error:
+    except (MpdtError, OSError) as error:
+        shown = told(error)
         if verbose:
             traceback.print_exc()
-        sys.stderr.write(error.render() + "\n")
-        return error.exit_code
+        sys.stderr.write(shown.render() + "\n")
+        return shown.exit_code
 
 
 def execute(command: Command, rest: list[str]) -> int:

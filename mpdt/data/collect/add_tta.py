@@ -27,6 +27,7 @@ from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts, TtaRule
 from mpdt.data.store import provenance
 from mpdt.data.store.amend import add_tta
 from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.layout import checked_name
 from mpdt.data.store.reader import open_dataset
 from mpdt.disk import holding
 from mpdt.errors import DataError, UsageError
@@ -56,6 +57,7 @@ def set_job(dataset: Dataset, name: str, rule: TtaRule, tasks: Sequence[str] = (
     Raises: DataError for a file without a spec; SpecError for a rule that cannot be; UsageError
         for an unknown task, or where no task is left.
     """
+    checked_name(name)
     chosen = {dataset.task_row(task) for task in tasks} or set(range(len(dataset.tasks)))
     indices = {dataset.tasks.indices[row] for row in chosen}
     # Nothing but the set: neither stored episodes nor references.

@@ -20,7 +20,7 @@ from mpdt.data.collect.plan import Plan
 from mpdt.data.collect.runner import BlockReport
 from mpdt.data.reference import Reference, References, level
 from mpdt.data.sim.constants import choose_constant, constant_actions
-from mpdt.errors import DataError, quoted
+from mpdt.errors import DataError, Lines, quoted
 
 MEDIUM_RANGE = (0.35, 0.65)
 ERRORS = 2  # standard errors outside MEDIUM_RANGE up to which nobody can tell
@@ -171,7 +171,7 @@ def check_levels(plan: Plan, levels: dict[str, TaskLevels], parts: str) -> list[
     if not faults or "smoke" in plan.spec.version:
         return faults + doubts
     raise DataError(
-        "\n  ".join(["the qualities are not in order, so nothing was written", *faults]),
+        Lines.of("the qualities are not in order, so nothing was written", *faults),
         where=plan.spec.name,
         hint=f"{_remedy(plan)}; the parts are kept in {parts}",
     )

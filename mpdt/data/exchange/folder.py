@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from mpdt.errors import DataError, MissingFileError, StorageError, quoted
-from mpdt.reading import refuse_special
+from mpdt.errors import DataError, StorageError, quoted
+from mpdt.reading import missing, refuse_special
 
 _SUMS = "SHA256SUMS"  # beside whatever `mpdt-data pull` brought
 
@@ -26,7 +26,7 @@ def files_below(paths: Sequence[Path], *suffixes: str) -> list[Path]:
         elif path.exists():
             found.append(path)
         else:
-            raise MissingFileError("no such file or folder", where=str(path))
+            raise missing(path, "no such file or folder")
     for path in found:
         refuse_special(path)
     return found
@@ -52,9 +52,7 @@ def _below(folder: Path, seen: set[tuple[int, int]]) -> Iterator[Path]:
         if path.is_dir():
             yield from _below(path, seen)
         elif path.is_symlink() and not path.exists():
-            raise MissingFileError("a link that leads nowhere", where=str(path),
-                                   found=str(path.readlink()),
-                                   hint="mend it, or move it away")  # fmt: skip
+            raise missing(path)
         else:
             yield path
 

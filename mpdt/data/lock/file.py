@@ -123,17 +123,19 @@ def read_lock(path: Path) -> dict[str, LockEntry]:
     except MissingFileError:
         return {}
     except UnicodeDecodeError as error:
-        raise _damaged(path, "not UTF-8 text") from error
+        raise _damaged(path, SpecError("not UTF-8 text")) from error
     try:
         return parse_lock(text, str(path))
     except SpecError as error:
-        raise _damaged(path, str(error).removeprefix(f"{path}: ")) from error
+        raise _damaged(path, error) from error
 
 
-def _damaged(path: Path, what: str) -> FormatError:
+def _damaged(path: Path, error: SpecError) -> FormatError:
     return FormatError(
-        what,
-        where=str(path),
+        error.what,
+        where=error.where or str(path),
+        expected=error.expected,
+        found=error.found,
         hint=f"take it from version control, or move it away: collect writes a new {FILE_NAME}",
     )
 

@@ -13,7 +13,8 @@ from pathlib import Path, PurePosixPath
 from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import verify
 from mpdt.disk import sha256
-from mpdt.errors import DataError, FormatError, MissingFileError
+from mpdt.errors import DataError, FormatError
+from mpdt.reading import missing, refuse_special
 
 SUFFIX = ".sha256"
 FILE_NAME = "SHA256SUMS"
@@ -23,12 +24,15 @@ _LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
 def sums_of(source: Path) -> dict[str, str]:
     """SHA-256 by path: of the file, or of every file below the folder.
 
-    Raises: MissingFileError; DataError for an empty folder and for names that a line cannot hold.
+    Raises: MissingFileError; FormatError for a pipe, socket or device; DataError for an empty
+        folder and for names that a line cannot hold.
     """
     if source.is_file():
         return {source.name: sha256(source)}
+    if not source.exists():
+        raise missing(source, "no such file or folder")
     if not source.is_dir():
-        raise MissingFileError("no such file or folder", where=str(source))
+        refuse_special(source)
     below = sorted(source.rglob("*"))
     for path in below:
         # What a link leads to may be anything of this machine; a FIFO would never end.

@@ -34,7 +34,7 @@ from mpdt.data.sim.probe import Gauge, Probe
 from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.workers.processes import map_blocks
-from mpdt.errors import DataError, SpecError, quoted
+from mpdt.errors import DataError, Lines, SpecError, quoted
 
 STEP = 0.1  # of the coarse curve
 RATES = tuple(round(1 - STEP * i, 6) for i in range(1, round(1 / STEP)))  # 0.9, 0.8 .. 0.1
@@ -260,7 +260,7 @@ def calibrate(
                 f"level {found.level:.2f} +- {found.medium.level_error:.3f}"
             )
     if faults:
-        raise DataError("\n  ".join(["not calibrated:", *map(str, faults)]), where=str(target))
+        raise DataError(Lines.of("not calibrated:", *map(str, faults)), where=str(target))
     return target
 
 

@@ -56,7 +56,7 @@ def load_catalog(path: Path | None = None) -> Catalog:
     try:
         text = read_plain(chosen).decode("utf-8")
     except MissingFileError as error:
-        raise MissingFileError("no such file", where=str(chosen),
+        raise MissingFileError(error.what, where=str(chosen), found=error.found,
                                hint=f"name an existing {FILE_NAME}, or leave the option out for "
                                     "the shipped one") from error  # fmt: skip
     except UnicodeDecodeError as error:

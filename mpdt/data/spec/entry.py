@@ -18,7 +18,7 @@ import msgspec
 
 from mpdt.data.spec.goals import GoalSet
 from mpdt.data.spec.tasks import FAMILIES, Family, Role, Task, get_family
-from mpdt.errors import SpecError, nearest
+from mpdt.errors import Lines, SpecError, nearest
 
 ENV_OPTIONS: dict[str, frozenset[str]] = {
     "cheetah": frozenset({"control_cost"}),
@@ -27,8 +27,10 @@ ENV_OPTIONS: dict[str, frozenset[str]] = {
 }
 """Simulator options a spec may set, by robot. What is not set keeps the simulator's default."""
 
-_SEMVER = re.compile(r"\d+\.\d+\.\d+(?:[-+.][0-9A-Za-z.+-]+)?")
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+# No longer than a file takes, with what files of smoke versions and slices add to a name.
+_SEMVER = re.compile(r"\d{1,9}\.\d{1,9}\.\d{1,9}(?:[-+.][0-9A-Za-z.+-]{1,80})?")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+_NAME_HINT = "letters, digits, . _ -, at most 100 of them"
 
 
 MOST = {
@@ -164,10 +166,11 @@ def raise_problems(problems: Sequence[Problem], where: str, separator: str = "."
     if len(problems) == 1:
         error = SpecMistakesError(problems[0][1], where=places[0], hint=problems[0][2])
     else:
-        lines = [f"{len(problems)} mistakes"]
-        for place, (_, what, hint) in zip(places, problems, strict=True):
-            lines.append(f"  {place}: {what}" + (f"  [{hint}]" if hint else ""))
-        error = SpecMistakesError("\n".join(lines))
+        lines = [
+            f"{place}: {what}" + (f"  [{hint}]" if hint else "")
+            for place, (_, what, hint) in zip(places, problems, strict=True)
+        ]
+        error = SpecMistakesError(Lines.of(f"{len(problems)} mistakes", *lines))
     error.problems = tuple(problems)
     raise error
 
@@ -176,7 +179,7 @@ def find_problems(spec: DatasetSpec) -> list[Problem]:
     """Every mistake the types cannot catch, as (key path, what, hint)."""
     problems: list[Problem] = []
     if not _NAME.fullmatch(spec.name):
-        problems.append(("name", f"{spec.name!r} cannot name a file", "letters, digits, . _ -"))
+        problems.append(("name", f"{spec.name!r} cannot name a file", _NAME_HINT))
     if not _SEMVER.fullmatch(spec.version):
         problems.append(("version", f"{spec.version!r} is not SemVer", 'write "1.0.0", in quotes'))
     if not spec.license:
@@ -228,7 +231,7 @@ def _behaviour_problems(spec: DatasetSpec) -> list[Problem]:
 def _tta_problems(name: str, rule: TtaRule) -> list[Problem]:
     key, problems = f"tta.{name}", list[Problem]()
     if not _NAME.fullmatch(name):
-        problems.append((key, f"{name!r} cannot name a set", "letters, digits, . _ -"))
+        problems.append((key, f"{name!r} cannot name a set", _NAME_HINT))
     problems += _range_problems(f"{key}.episodes", rule.episodes, 1, MOST["episodes"])
     if not (math.isfinite(rule.action_scale) and rule.action_scale > 0):
         problems.append((f"{key}.action_scale", f"{rule.action_scale} is not a range", "over 0"))

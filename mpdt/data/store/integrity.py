@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.data.store.dataset import Dataset
-from mpdt.data.store.layout import ROLE_CODES
+from mpdt.data.store.layout import NAME_LENGTH, ROLE_CODES
 from mpdt.errors import FormatError
 
 
@@ -45,10 +45,6 @@ def check_tables(dataset: Dataset) -> None:
         if leaked:
             names = ", ".join(dataset.tasks.names[row] for row in leaked)
             raise FormatError("statistics saw test tasks", where=where, found=names)
-
-
-NAME_LENGTH = 120
-"""Of a name in a file: most file systems stop at 255 bytes, and exports add to it."""
 
 
 def check_names(dataset: Dataset) -> None:

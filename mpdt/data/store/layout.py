@@ -28,6 +28,8 @@ ROOT_TEXTS = ("family", "name", "version", "license", "parent", "lineage", "spec
               "platform")  # fmt: skip
 FOREIGN_HINT = "take another copy, or bring a foreign file into this format: mpdt-data import -h"
 
+NAME_LENGTH = 120
+"""Of a name in a file: most file systems stop at 255 bytes, and exports add to it."""
 ROLE_CODES: dict[Role, int] = {"train": 0, "test": 1, "both": 2}
 STATS_FIELDS = ("observations", "actions", "rewards", "returns")
 STATS = ("count", "mean", "std", "min", "max", "q01", "q10", "q50", "q90", "q99")
@@ -147,8 +149,9 @@ def checked_name(name: str) -> str:
 
     Raises: UsageError.
     """
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name):
-        raise UsageError(f"{name!r} cannot be a name in a file", expected="letters, digits, ._+-")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name) or len(name) > NAME_LENGTH:
+        raise UsageError(f"{name!r} cannot be a name in a file",
+                         expected=f"1 to {NAME_LENGTH} letters, digits, ._+-")  # fmt: skip
     return name
 
 

@@ -122,7 +122,8 @@ def _open(path: Path, source: Source | None) -> Iterator[tuple[h5py.File, Binary
     try:
         stream = source.open() if source else open_plain(path)
     except MissingFileError as error:
-        raise MissingFileError(error.what, where=where, hint=missing_hint(path)) from error
+        raise MissingFileError(error.what, where=where, found=error.found,
+                               hint=error.hint or missing_hint(path)) from error  # fmt: skip
     with stream, _hdf5(path, stream) as file:
         yield file, stream
 

@@ -6,6 +6,7 @@ the path meanwhile.
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -41,7 +42,7 @@ def parse_ref(ref: str) -> tuple[Path, str | None]:
     """
     path, colon, name = ref.rpartition(":")
     # A colon inside a folder name, a drive letter or an existing file is part of the path.
-    if not colon or "/" in name or "\\" in name or Path(ref).exists():
+    if not colon or "/" in name or "\\" in name or os.access(ref, os.F_OK):
         path, name = ref, ""
         colon = ""
     if not path or (colon and not name):
@@ -224,7 +225,7 @@ def _read_lineage(tree: Tree) -> tuple[dict[str, Any], ...]:
     """The steps since the file was collected; none in a file that says nothing about them."""
     if "lineage" not in tree.attributes("") and "lineage" not in tree.arrays:
         return ()
-    steps = tree.json("", "lineage").get("steps")
+    steps: Any = tree.json("", "lineage").get("steps")
     _typed(steps, list[_Step], tree, "its lineage")
     return tuple(steps)
 

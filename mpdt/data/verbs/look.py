@@ -33,10 +33,10 @@ class List(Options):
 
     def run(self) -> None:
         from mpdt.data.spec.catalog import load_catalog
-        from mpdt.errors import MissingFileError
+        from mpdt.reading import missing
 
         if not self.dir.is_dir():
-            raise MissingFileError("no such folder", where=str(self.dir))
+            raise missing(self.dir, "no such folder")
         catalog = load_catalog(self.spec)
         rows = [_entry_row(spec, self.dir / f"{name}.h5") for name, spec in catalog.specs.items()]
         named = {row["file"] for row in rows}

@@ -34,7 +34,7 @@ class Options(ABC):
     def say(self, line: str) -> None:
         """A remark for whoever watches."""
         if not self.quiet:
-            sys.stderr.write(visible(line, lines=True) + "\n")
+            sys.stderr.write(visible(line) + "\n")
             sys.stderr.flush()
 
     def print(self, result: Any, text: str) -> None:

@@ -104,7 +104,7 @@ class Lock(Options):
         from mpdt.data.lock.file import lock_path
         from mpdt.data.lock.states import lock_states
         from mpdt.data.spec.catalog import load_catalog
-        from mpdt.errors import DataError
+        from mpdt.errors import DataError, Lines
 
         catalog = load_catalog(self.spec)
         path = lock_path(catalog.path)
@@ -121,7 +121,7 @@ class Lock(Options):
         problems = [one for one in states if one.problem]
         if self.check and problems:
             raise DataError(
-                "\n  ".join([f"{len(problems)} not as locked", *(one.problem for one in problems)]),
+                Lines.of(f"{len(problems)} not as locked", *(one.problem for one in problems)),
                 where=str(path),
                 hint=problems[0].hint,
             )

@@ -196,3 +196,14 @@ def test_members_of_one_name_and_of_other_names(
         one_more_member(path, "rewards", 1)
     assert run("import", path, "--from", "npz", "-o", "y.h5") == 1
     assert "two members are called rewards.npy" in capsys.readouterr().err
+
+
+def test_names_that_no_disk_takes(run: Make, capsys: pytest.CaptureFixture[str]) -> None:
+    long = "x" * 3000
+    for words in (("show", long), ("show", f"a.h5:{long}"), ("list", "--dir", long),
+                  ("list", "--spec", long), ("import", long, "--from", "npz", "-o", "x.h5"),
+                  ("merge", long, long, "-o", long), ("push", long, "memory://x"),
+                  ("pull", "memory://x", "-o", long), ("export", long, "--to", "npz")):  # fmt: skip
+        assert run(*words) in (1, 2)
+        told = capsys.readouterr().err
+        assert told.startswith("error: ") and len(told) < 1500, words
