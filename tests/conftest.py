@@ -1,4 +1,4 @@
-"""For all tests: Ctrl-C works, and the long ones are begun first, so that none is left at the end."""
+"""For all tests: Ctrl-C works, and the long ones are begun first: none is left at the end."""
 
 from __future__ import annotations
 
