@@ -77,7 +77,8 @@ def _command(path: Path, known: Iterable[str]) -> str:
 
 
 def _collect(words: list[str], path: Path) -> str:
-    target = [] if path == Path(f"{path.stem}.h5") else ["-o", str(path)]
+    usual = Path(f"{words[0]}{'-smoke' * ('--smoke' in words)}.h5")
+    target = [] if path == usual else ["-o", str(path)]
     return shlex.join(["mpdt-data", "collect", *words, *target])
 
 

@@ -18,11 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from mpdt.data.slices.windows import (
@@ -35,8 +36,9 @@ from mpdt.data.slices.windows import (
     gather_windows,
 )
 from mpdt.data.store.reader import Dataset, open_tta_rewards
+from mpdt.data.store.tables import Float32
 from mpdt.data.store.ttaset import find_tta_set
-from mpdt.errors import TrainingError, UsageError, check_at_least
+from mpdt.errors import DataError, TrainingError, UsageError, check_at_least, quoted
 from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start, TrainedPrompts
 from mpdt.model.returns import ReturnTable
@@ -104,7 +106,8 @@ class AdaptationSet:
 
     Attributes:
         source, ids: the set, and the episodes of each task in it; no rewards among them.
-    Raises: UsageError for an unknown set, DataError for a task without episodes in it.
+    Raises: UsageError for an unknown set, DataError for a task without episodes in it and for an
+        episode with what is no number.
     """
 
     def __init__(
@@ -119,7 +122,7 @@ class AdaptationSet:
     ) -> None:
         self._settings, self._window, self._seed = settings, window, seed
         self._low, self._high = low, high
-        self._set = find_tta_set(dataset, settings.set, rows)
+        self._dataset, self._set = dataset, find_tta_set(dataset, settings.set, rows)
         self._rows = np.asarray(rows, np.int64)
         # A TtaSet holds step arrays and episode columns side by side.
         self.source = _Source(self._set, self._set)
@@ -128,11 +131,35 @@ class AdaptationSet:
         self._covers = [cover(self._set.length, of_task, window) for of_task in self.ids]
         self.presets = [float(preset[of_task[0]]) for of_task in self.ids]
         self.num_steps = int(self._set.length[np.concatenate(self.ids)].sum())
+        for values in (self._set.observations, self._set.actions, preset):
+            self._expect_numbers(values)
         if settings.returns == "decrement":
-            rewards, _ = open_tta_rewards(dataset, settings.set)
-            self._returns = decreasing_returns(self.source, preset, rewards)
+            self._returns = decreasing_returns(self.source, preset, self.rewards())
         else:
             self._returns = constant_returns(preset)
+
+    def rewards(self) -> Float32:
+        """What the simulator said of every step of the set (N,), for protocols that read it.
+
+        Raises: DataError for an episode with what is no number; as `open_tta_rewards`.
+        """
+        rewards, _ = open_tta_rewards(self._dataset, self._settings.set)
+        self._expect_numbers(rewards)
+        return rewards
+
+    def _expect_numbers(self, values: NDArray[Any]) -> None:
+        """Raises: DataError for a step or episode of the tasks with what is no number."""
+        starts = {len(self._set.observations): self._set.obs_start,
+                  len(self._set.actions): self._set.start}  # fmt: skip
+        bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+        if len(values) in starts:
+            bad = np.searchsorted(starts[len(values)], bad, side="right") - 1
+        if len(odd := np.intersect1d(bad, np.concatenate(self.ids))):
+            raise DataError(f"episode {odd[0]} of the TTA set '{self._set.name}' has what is no "
+                            "number", where=str(self._dataset.path),
+                            hint=f"mpdt-data tta {quoted(self._dataset.path)} --name "
+                                 f"{quoted(self._set.name)} --overwrite makes it again"
+                            )  # fmt: skip
 
     def batch(self, step: int) -> WindowBatch:
         """Windows (n, M, K, ...) of adaptation step `step`: a pure function of (seed, step)."""

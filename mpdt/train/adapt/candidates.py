@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
-from mpdt.data.store.reader import open_tta_rewards
 from mpdt.errors import UsageError
 from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.policy import PolicyBatch, PromptPolicy, action_loss
@@ -241,7 +240,7 @@ class Candidates:
     def _explanations(self) -> list[Explanation]:
         """The only place of an adaptation where rewards of a test task are read."""
         material, settings = self._material, self._config.adapt
-        dataset, family = material.dataset, material.family
+        family = material.family
         box = (family.action_low, family.action_high)
         known = read_training_tasks(material)
 
@@ -250,7 +249,7 @@ class Candidates:
                           f"unexplained {loss:.5f}")  # fmt: skip
 
         model = fit_reward_model(known, settings.infer, self._seed, on_step)
-        rewards, _ = open_tta_rewards(dataset, settings.set)
+        rewards = self._x.rewards()
         # Demonstrations do not average.
         most = 1 if self._shows else settings.infer.tasks
         return [

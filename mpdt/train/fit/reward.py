@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from mpdt.data.slices.windows import WindowSource
-from mpdt.errors import TrainingError, check_above_zero, check_at_least
+from mpdt.errors import DataError, TrainingError, check_above_zero, check_at_least, quoted
 from mpdt.seeding import generator_at, layers_from
 from mpdt.train.fit.data import Ids, Material
 
@@ -78,14 +78,24 @@ def read_transitions(
 
 
 def read_training_tasks(material: Material) -> list[Transitions]:
-    """The random episodes of every training task. Raises: DataError if the file holds none."""
+    """The random episodes of every training task.
+
+    Raises: DataError if the file holds none, or a step in them is no number.
+    """
     dataset, ids, family = material.dataset, material.random_ids(), material.family
-    return [
+    tasks = [
         read_transitions(
             dataset, ids[row], dataset.steps.rewards, family.action_low, family.action_high
         )
         for row in material.train_rows
     ]
+    for row, task in zip(material.train_rows, tasks, strict=True):
+        if not (np.isfinite(task.inputs).all() and np.isfinite(task.rewards).all()):
+            raise DataError("a random episode has what is no number", where=str(dataset.path),
+                            found=f"task {dataset.tasks.names[row]}",
+                            hint=f"mpdt-data verify {quoted(dataset.path)} says which"
+                            )  # fmt: skip
+    return tasks
 
 
 class RewardModel(nn.Module):

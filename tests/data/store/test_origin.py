@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from mpdt.data.store.origin import damaged_hint, missing_hint
+from mpdt.data.store.origin import again_hint, damaged_hint, missing_hint
+from mpdt.data.store.reader import open_dataset
 
 
 @pytest.mark.parametrize(
@@ -40,3 +42,13 @@ def test_a_faulty_catalog_does_not_hide_the_error(
     Path("datasets.yaml").write_text("{")
     assert missing_hint(Path("ml10.h5")) == "mpdt-data list shows what can be made"
     assert damaged_hint(Path("ml10.h5")) == "copy it again, or ask whoever made it"
+
+
+def test_again_is_under_its_own_name(tiny_file: Path, tmp_path: Path) -> None:
+    """What could be read of a file says how it was made, its name does not."""
+    data = replace(open_dataset(tiny_file), name="ml10-smoke", path=Path("rot.h5"))
+    again = "collect it again: mpdt-data collect ml10 --smoke -o rot.h5"
+    assert damaged_hint(data.path, data) == f"copy it again, or move it away and {again}"
+    assert again_hint(replace(data, path=Path("ml10-smoke.h5"))).endswith("collect ml10 --smoke")
+    told = damaged_hint(data.path, replace(data, name="theirs"))
+    assert told == "copy it again, or move it away and ask whoever made it for another copy"

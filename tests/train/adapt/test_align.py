@@ -1,5 +1,7 @@
 """Adaptation touches P_c of its own task and nothing else; its data hold no label."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -189,6 +191,23 @@ def test_refusals(dataset, medium_file, policy, trained):
     with pytest.raises(UsageError, match=r"adapt.layers: no such layer; expected 0 to 1"):
         adapt(policy, trained, "cross", unseen(dataset), RETURNS, source(policy), settings,
               "channel", 0)  # fmt: skip
+
+
+def test_what_is_no_number_is_refused(dataset):
+    """Rewards of no number would leave weights of zero, and nobody would be told."""
+    tta = dataset.tta["default"]
+    rewards = open_tta_rewards(dataset, "default")[0].copy()
+    rewards[tta.start[1]] = np.nan
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mpdt.train.adapt.align.open_tta_rewards", lambda *_: (rewards, None))
+        with pytest.raises(DataError, match="episode 1 of the TTA set 'default' has what is no n"):
+            unseen(dataset).rewards()
+    for name in ("observations", "actions", "preset_return"):
+        values = np.array(getattr(tta, name))
+        values[-1] = np.inf
+        broken = replace(dataset, tta={"default": replace(tta, **{name: values})})
+        with pytest.raises(DataError, match=f"episode {len(tta) - 1} of the TTA set 'default'"):
+            unseen(broken)
 
 
 @pytest.mark.parametrize("wrong", [{"windows": 0}, {"lr": -1.0}, {"lr": np.nan}, {"lr": np.inf}])
