@@ -24,12 +24,20 @@ from mpdt.train.bundle.format import (
     ACTING,
     BACKBONE,
     IN_CONFIG,
+    OWN,
     POLICY,
     TRAINED,
     BundleConfig,
     Contents,
     Returns,
 )
+
+_TRAINED = {
+    "cross": "ls", "task_v": "Nlr", "task_u": "Nrs", "parts": "Nls",
+    "layers": "Ls", "net.0.weight": "s", "net.0.bias": "s", "net.1.weight": "ss",
+    "net.1.bias": "s", "net.3.weight": "qs", "net.3.bias": "q",
+}  # fmt: skip
+"""Axes of what training changes of prompts: N own tasks, l rows, width s, rank r, L blocks."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +72,7 @@ def built(contents: Contents, family: Family) -> Bundle:
         raise FormatError("tensors of no part of a policy", found=str(len(tensors) - known))
     policy = _policy(config, parts[POLICY], _backbone(config, parts[BACKBONE]))
     _check_prompts(config, policy, parts[ACTING])
+    _check_trained(config, policy, parts)
     return Bundle(config, family, policy, parts[ACTING], parts[TRAINED])
 
 
@@ -154,6 +163,27 @@ def _check_prompts(
         elif length % (2 * backbone.num_layers):
             raise FormatError(f"adapters '{one.name}' for another number of blocks")
     check_shapes(shapes, prompts, "prompts")
+
+
+def _check_trained(
+    config: BundleConfig, policy: PromptPolicy, parts: Mapping[str, Mapping[str, Tensor]]
+) -> None:
+    """Whoever begins from this policy copies them row by row. Raises: FormatError, ShapeError."""
+    own = next((len(one.tasks) for one in config.prompts if one.name == OWN), 0)
+    sizes = {"N": own, "L": policy.backbone.num_layers, "s": policy.backbone.width}
+    acting = parts[ACTING].get(OWN)
+    if acting is not None and not config.reads_adapters:
+        sizes["l"] = acting.shape[1]
+    inputs = policy.own_state()
+    shapes: dict[str, tuple[int, ...]] = {}
+    _check_float32(parts[TRAINED])
+    for name, tensor in parts[TRAINED].items():
+        if name in inputs and name.startswith("inputs."):  # of demonstrations
+            shapes[name] = tuple(inputs[name].shape)
+        elif name in _TRAINED and len(_TRAINED[name]) == tensor.dim():
+            letters = zip(_TRAINED[name], tensor.shape, strict=True)
+            shapes[name] = tuple(sizes.setdefault(letter, size) for letter, size in letters)
+    check_shapes(shapes, parts[TRAINED], "trained prompts")
 
 
 def _check_float32(tensors: Mapping[str, Tensor]) -> None:

@@ -5,14 +5,18 @@ from __future__ import annotations
 import importlib.util
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 import mpdt
-from mpdt.data.spec.tasks import FAMILIES
+from mpdt.data.spec.tasks import FAMILIES, get_family
 from mpdt.errors import BackboneError, FormatError, MissingFileError, MpdtError, UsageError
+from mpdt.train.bundle.build import built
 from mpdt.train.bundle.format import seal
+from mpdt.train.bundle.read import read_bundle, read_contents
 
 SCRIPT = Path(__file__).parents[3] / "benchmarks" / "trust" / "bundles.py"
 
@@ -81,3 +85,16 @@ def test_blocks_by_name_are_compared(finished, tmp_path, monkeypatch):
     assert run("bundle", finished, "-o", small, "--without-backbone") == 0
     with pytest.raises(BackboneError, match="is another one"):
         mpdt.load_policy(changed(small, tmp_path, lambda c: c["backbone"].update(seed=99)))
+
+
+@pytest.mark.parametrize(("name", "tensor"), [
+    ("cross", torch.zeros(1, 64)), ("task_u", torch.zeros(1, 1, 64)), ("cross", torch.zeros(9)),
+    ("task_v", torch.zeros(2, 30, 1, dtype=torch.float64)), ("more", torch.zeros(2)),
+])  # fmt: skip
+def test_prompts_that_training_left_fit_each_other(bundle, name, tensor):
+    """Who begins from a policy copies them task by task."""
+    contents = read_contents(bundle)
+    read_bundle(bundle)
+    tensors = {**contents.tensors, f"prompts.trained.{name}": tensor}
+    with pytest.raises(MpdtError, match=f"tensor '{name}'"):
+        built(replace(contents, tensors=tensors), get_family(contents.config.family.name))
