@@ -76,8 +76,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         except (ValueError, TypeError, AttributeError) as error:
             raise FormatError("not an export of mpdt, or changed", where=where,
                               found=str(error)[:120],
-                              hint="export it again, or name its --family to import it as "
-                                   "foreign data") from error  # fmt: skip
+                              hint=AGAIN) from error  # fmt: skip
 
     def incoming(self, source: EpisodeSource, remarks: Sequence[str] = ()) -> Incoming:
         """The whole export, to be compared with its content hash once it is written.

@@ -47,7 +47,7 @@ def hidden(url: str) -> str:
     """The URL with `***` where its user, password, query or fragment was."""
     start, user, place, query = _parts(url)
     end = query[:1] * bool(place) + MARK if query else ""
-    if start.rstrip(":/") not in _OF_NO_USER:
+    if start and start.rstrip(":/") not in _OF_NO_USER:
         place = without_parameters(place)
     return start + f"{MARK}@" * bool(user) + place + end
 

@@ -186,7 +186,7 @@ def _read(file: Opened, path: Path, arrays: _Arrays, checked: bool = True) -> Da
         seal=tree.text("", ATTRIBUTE) if ATTRIBUTE in tree.attributes("") else "",
         packages=tree.json("", "packages"),
         platform=tree.json("", "platform"),
-        tasks=_read_tasks(found["tasks"], family),
+        tasks=_read_tasks(found["tasks"], family, where),
         goals=tables.Goals(goals["values"], goals["dim"], goals["task"]),
         policies=tables.Policies(
             policies["hash"], policies["task"], policies["rung"], policies["level"],
@@ -247,7 +247,7 @@ def _typed(value: Any, kind: Any, tree: Tree, what: str) -> Any:
                           found=str(error), hint=layout.FOREIGN_HINT) from error  # fmt: skip
 
 
-def _read_tasks(present: dict[str, Array], family: str) -> tables.Tasks:
+def _read_tasks(present: dict[str, Array], family: str, where: str) -> tables.Tasks:
     values = _columns(present, layout.TASKS)
     names: tuple[str, ...] = values["name"]
     known = {task.name: task.index for task in FAMILIES[family].tasks} if family in FAMILIES else {}
@@ -256,7 +256,7 @@ def _read_tasks(present: dict[str, Array], family: str) -> tables.Tasks:
         indices=tuple(known.get(name, row) for row, name in enumerate(names)),
         envs=tuple(layout.parse_json(text, "/tasks/env") for text in values["env"]),
         roles=values["role"],
-        references=tuple(references_of(values, row) for row in range(len(names))),
+        references=tuple(references_of(values, row, where) for row in range(len(names))),
     )
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
-from mpdt.data.reference import REFERENCE_POLICIES, Reference, References
+from mpdt.data.reference import REFERENCE_POLICIES, Reference, References, Source
 from mpdt.data.store.layout import REFERENCE_FIELDS
-from mpdt.errors import ShapeError
+from mpdt.errors import FormatError, ShapeError
 
 
 def reference_cells(references: References, action_size: int) -> dict[str, Any]:
@@ -29,11 +29,18 @@ def reference_cells(references: References, action_size: int) -> dict[str, Any]:
     return cells | {"ref_constant_action": action}
 
 
-def references_of(values: Mapping[str, Any], row: int) -> References:
-    """What `reference_cells` put into row `row` of the columns `values`."""
+def references_of(values: Mapping[str, Any], row: int, where: str) -> References:
+    """What `reference_cells` put into row `row` of the columns `values`.
+
+    Raises: FormatError for a source of a reference that is none.
+    """
 
     def reference(name: str) -> Reference:
         cells = {field: values[f"ref_{name}{end}"][row] for field, end, _ in REFERENCE_FIELDS}
+        if cells["source"] not in get_args(Source):
+            raise FormatError(f"/tasks/ref_{name}_source is no word of the format", where=where,
+                              expected=", ".join(filter(None, get_args(Source))),
+                              found=ascii(cells["source"])[:60])  # fmt: skip
         if np.isnan(cells["success"]):
             cells["success"] = None
         return Reference(**{field: _plain(cell) for field, cell in cells.items()})

@@ -68,6 +68,9 @@ def check_claims(material: Material, lock: tuple[str, LockEntry | None] | None) 
     text += ", policies and references found again" if job is not None else (
         " found again; policies and references cannot be: their ladder is not here" + locked
     )  # fmt: skip
+    if unproven and lock is not None and lock[1] is not None and not lock[1].tables:
+        faults.append(Fault(f"{unproven} references are as the file says: {lock[0]}, the lock of an older "
+                            "release says less", is_doubt=True))  # fmt: skip
     if unproven:
         text += f"; {unproven} references were measured when it was collected{locked}"
     return judge(ID, faults, text, damaged_hint(material.path, data) if faults else "")
@@ -250,11 +253,9 @@ class _References:
                     wanted = self._collected(row, kind)
                 if wanted is None or (stored.source == "local") != (wanted.source == "local"):
                     self.unproven += 1
-                elif not _same(stored, wanted):
-                    found.append(Fault(
-                        f"task {name}: reference {kind} {stored.mean:.6g} ({stored.source}), "
-                        f"found again {wanted.mean:.6g}", is_doubt=doubt and kind != "collected"
-                    ))  # fmt: skip
+                elif difference := _difference(stored, wanted):
+                    found.append(Fault(f"task {name}: reference {kind} {difference}",
+                                       is_doubt=doubt and kind != "collected"))  # fmt: skip
         return found
 
     def _constant(
@@ -272,11 +273,16 @@ class _References:
         return Reference.of(data.episodes.returns[ids]) if len(ids) else None
 
 
-def _same(one: Reference, two: Reference) -> bool:
-    numbers = ((one.mean, two.mean), (one.error, two.error),
-               (one.success or 0.0, two.success or 0.0))  # fmt: skip
-    close = all(a == b or a != a or abs(a - b) <= 1e-9 * max(abs(a), abs(b)) for a, b in numbers)
-    return close and one.episodes == two.episodes
+def _difference(stored: Reference, wanted: Reference) -> str:
+    """In what they differ first; nothing where they are the same."""
+    for key in ("mean", "error", "success", "episodes"):
+        a, b = getattr(stored, key) or 0.0, getattr(wanted, key) or 0.0
+        if not (a == b or a != a or abs(a - b) <= 1e-9 * max(abs(a), abs(b))):
+            what = "" if key == "mean" else f"has {key} "
+            return f"{what}{a:.6g} ({stored.source}), found again {b:.6g}"
+    if stored.source not in ("", wanted.source):
+        return f"is said to be {stored.source}, found again as {wanted.source}"
+    return ""
 
 
 def _lock_faults(data: Dataset, path: str, entry: LockEntry) -> Iterator[Fault]:

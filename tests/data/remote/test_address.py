@@ -16,6 +16,7 @@ from mpdt.data.remote.address import hidden, hide, last_name, revealed, without_
     [
         ("x.h5", "x.h5"),
         ("data/a@b:c?d.h5", "data/a@b:c?d.h5"),
+        ("a;b/x;y.h5", "a;b/x;y.h5"),
         ("sftp://host:22/x.h5", "sftp://host:22/x.h5"),
         ("sftp://ann@host/x.h5", "sftp://***@host/x.h5"),
         ("sftp://ann:pw@host:22/x.h5", "sftp://***@host:22/x.h5"),

@@ -44,11 +44,14 @@ def test_a_faulty_catalog_does_not_hide_the_error(
     assert damaged_hint(Path("ml10.h5")) == "copy it again, or ask whoever made it"
 
 
-def test_again_is_under_its_own_name(tiny_file: Path, tmp_path: Path) -> None:
+def test_again_is_under_its_own_name(
+    tiny_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What could be read of a file says how it was made, its name does not."""
-    data = replace(open_dataset(tiny_file), name="ml10-smoke", path=Path("rot.h5"))
-    again = "collect it again: mpdt-data collect ml10 --smoke -o rot.h5"
+    monkeypatch.chdir(tmp_path)
+    data = replace(open_dataset(tiny_file), name="tiny-smoke", path=Path("rot.h5"))
+    again = "collect it again: mpdt-data collect tiny --smoke -o rot.h5"
     assert damaged_hint(data.path, data) == f"copy it again, or move it away and {again}"
-    assert again_hint(replace(data, path=Path("ml10-smoke.h5"))).endswith("collect ml10 --smoke")
+    assert again_hint(replace(data, path=Path("tiny-smoke.h5"))).endswith("collect tiny --smoke")
     told = damaged_hint(data.path, replace(data, name="theirs"))
     assert told == "copy it again, or move it away and ask whoever made it for another copy"

@@ -195,6 +195,7 @@ def retype(name, values):
             attribute("lineage", '{"steps": [{"verb": "drop", "from": "abc"}]}'),
             "Expected `array`, got `str` - at `$[0].from`",
         ),
+        (put("tasks/ref_zero_source", 1, "x"), "/tasks/ref_zero_source is no word of the format"),
         (put("tasks/role", 1, 3), "/tasks/role points outside its table"),
         (retype("steps/rewards", np.zeros(7)), "/steps/rewards has the wrong type; expected <f4"),
         (retype("steps/rewards", np.zeros(6, "<f4")), "/steps/rewards has the wrong shape"),
