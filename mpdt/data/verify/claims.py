@@ -69,11 +69,12 @@ def check_claims(material: Material, lock: tuple[str, LockEntry | None] | None) 
         " found again; policies and references cannot be: their ladder is not here" + locked
     )  # fmt: skip
     if unproven and lock is not None and lock[1] is not None and not lock[1].tables:
-        faults.append(Fault(f"{unproven} references are as the file says: {lock[0]}, the lock of an older "
-                            "release says less", is_doubt=True))  # fmt: skip
+        faults.append(Fault(f"{unproven} references are as the file says: {lock[0]}, the lock of "
+                            "an older release says less", is_doubt=True))  # fmt: skip
     if unproven:
         text += f"; {unproven} references were measured when it was collected{locked}"
-    return judge(ID, faults, text, damaged_hint(material.path, data) if faults else "")
+    is_wrong = any(not one.is_doubt for one in faults)
+    return judge(ID, faults, text, damaged_hint(material.path, data) if is_wrong else "")
 
 
 def _env_faults(data: Dataset) -> Iterator[Fault]:
