@@ -1,11 +1,12 @@
 """Small inputs that announce much: what the command line spends on them before it says no.
 
-    python benchmarks/trust/limits.py [--only WORD] [--json FILE]
+    python benchmarks/trust/limits.py [--only WORD] [--forked] [--json FILE]
 
 Every input is written here, given to the command a user would type, in a process of its own, and
 its most memory and time are taken. Exit code 1 if one is read as good although it is not, ends
 with a traceback, takes more than `MOST_MB` or `MOST_S`. `a plain file` is what the command takes
-for an input that is as small as it looks.
+for an input that is as small as it looks. --forked: processes are forks of this one, which saves
+their imports and counts its memory as theirs; it is what `make test` does.
 """
 
 from __future__ import annotations
@@ -13,46 +14,21 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-import zipfile
+import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
+from small_inputs import ENTRY, INPUTS, Input
 
-from mpdt.data.store.seal import seal
-
+Run = Callable[[tuple[str, ...]], tuple[int, str, float, float]]
 MOST_MB, MOST_S = 1000, 10.0
 NO_END_S = 60.0
-ENTRY = """schema: 1
-datasets:
-  tiny: {version: "1.0.0", family: cheetah_dir, horizon: 6, seed: 5, block: 2, license: CC0-1.0,
-    behaviour: {network: cheetah_dir, rungs: 3, noise: 0.1}, reference: 2,
-    episodes: {random: RANDOM, expert: 2}}
-"""
-
-
-@dataclass(frozen=True)
-class Input:
-    """One input: `make` writes it into the working folder and returns its path.
-
-    code: the exit code that is right.
-    """
-
-    name: str
-    make: Callable[[], Path]
-    words: tuple[str, ...]
-    code: int
 
 
 # Its own most memory: what the system counts for a child begins with that of its parent.
@@ -83,162 +59,37 @@ def run(words: tuple[str, ...]) -> tuple[int, str, float, float]:
     return done.returncode, done.stderr, int(peak or 0) / 1024, seconds
 
 
-# ---- the inputs -------------------------------------------------------------------------------
+def run_forked(words: tuple[str, ...]) -> tuple[int, str, float, float]:
+    """As `run`, by a fork that has every module already."""
+    from mpdt.data.cli import main
 
-
-def plain() -> Path:
-    return Path("tiny.h5")
-
-
-def declared(shape: tuple[int, int], **how: Any) -> Callable[[], Path]:
-    def make() -> Path:
-        path = Path(shutil.copy("tiny.h5", "declared.h5"))
-        with h5py.File(path, "r+") as file:
-            del file["steps/observations"]
-            file.create_dataset("steps/observations", shape, "<f4", **how)
-            seal(file)
-        return path
-
-    return make
-
-
-def texts() -> Path:
-    """A text whose length is four billion."""
-    path = Path(shutil.copy("tiny.h5", "texts.h5"))
-    with h5py.File(path, "r") as file:
-        place = file["tasks/name"].id.get_offset()
-    data = bytearray(path.read_bytes())
-    data[place : place + 4] = (4_000_000_000).to_bytes(4, "little")
-    path.write_bytes(data)
-    return path
-
-
-def zeros(archive: zipfile.ZipFile, name: str, megabytes: int) -> None:
-    header = {"descr": "<f4", "fortran_order": False, "shape": (megabytes << 18,)}
-    with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-        np.lib.format.write_array_header_1_0(file, header)
-        for _ in range(megabytes):
-            file.write(bytes(1 << 20))
-
-
-def one_more_member() -> Path:
-    path = Path(shutil.copy("npz/tiny.npz", "more.npz"))
-    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
-        zeros(archive, "notes", 1200)
-    return path
-
-
-def grown_member() -> Path:
-    with (
-        zipfile.ZipFile("npz/tiny.npz") as old,
-        zipfile.ZipFile("grown.npz", "w", zipfile.ZIP_DEFLATED) as new,
-    ):
-        for info in old.infolist():
-            if info.filename != "rewards.npy":
-                new.writestr(info, old.read(info))
-        zeros(new, "rewards", 1200)
-    return Path("grown.npz")
-
-
-def equal_rows() -> Path:
-    folder = Path(shutil.copytree("parquet", "rows"))
-    many = 200_000_000
-    kinds = {"dim": pa.int32(), "task": pa.int32()}
-    columns = {name: pa.chunked_array([pa.repeat(pa.scalar(0, kind), 1_000_000)] * (many // 10**6))
-               for name, kind in kinds.items()}  # fmt: skip
-    values = pa.FixedSizeListArray.from_arrays(pa.repeat(0.0, 1_000_000), 1)
-    columns["values"] = pa.chunked_array([values] * (many // 10**6))
-    pq.write_table(pa.table(columns), folder / "goals.parquet", compression="zstd")
-    return folder
-
-
-def flat() -> Path:
-    with h5py.File("flat.hdf5", "w") as file:
-        for name in ("observations", "next_observations", "actions", "rewards", "terminals"):
-            file.create_dataset(name, (10**12,), "<f4", chunks=(1000,))
-    return Path("flat.hdf5")
-
-
-def bomb() -> Path:
-    """Chunks of zeros, a thousandth of their size when packed."""
-    with h5py.File("bomb.hdf5", "w") as file:
-        for name in ("observations", "next_observations", "actions", "rewards", "terminals"):
-            array = file.create_dataset(
-                name, (300_000_000,), "<f4", chunks=(10**7,), compression="gzip"
-            )
-            array[: 10**7] = 0
-    return Path("bomb.hdf5")
-
-
-def metadata() -> Path:
-    folder = Path(shutil.copytree("minari", "nested"))
-    for path in folder.rglob("metadata.json"):
-        path.write_text('{"a": ' * 100_000)
-    return folder
-
-
-def text(name: str, content: str) -> Callable[[], Path]:
-    def make() -> Path:
-        Path(name).write_text(content)
-        return Path(name)
-
-    return make
-
-
-def pipe(name: str) -> Callable[[], Path]:
-    def make() -> Path:
-        os.mkfifo(name)
-        return Path(name)
-
-    return make
-
-
-ALIASES = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
-    f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]\n"
-    for a, b in ["ab", "bc", "cd", "de", "ef", "fg", "gh", "hi"]
-)
-D4RL = ("--from", "d4rl", "--family", "cheetah_dir", "--task", "forward", "-o", "x.h5")
-INPUTS = (
-    Input("a plain file", plain, ("show", "IN"), 0),
-    Input("a plain file", plain, ("verify", "IN"), 0),
-    Input("observations of shape (20,000,000, 20), none stored", declared((20_000_000, 20)),
-          ("show", "IN"), 1),
-    Input("observations of shape (20,000,000, 20), none stored", declared((20_000_000, 20)),
-          ("verify", "IN"), 1),
-    Input("observations of a terabyte in chunks, none stored",
-          declared((1 << 34, 20), chunks=(1000, 20)), ("show", "IN"), 1),
-    Input("a task's name of 4 GB", texts, ("show", "IN"), 1),
-    Input("an npz export", lambda: Path("npz"), ("import", "IN", "--from", "npz", "-o", "x.h5"), 0),
-    Input("the same with one more member of 1.2 GB", one_more_member,
-          ("import", "IN", "--from", "npz", "-o", "x.h5"), 0),
-    Input("rewards of 1.2 GB in it", grown_member,
-          ("import", "IN", "--from", "npz", "-o", "x.h5"), 1),
-    Input("a Parquet table of 200 million equal rows", equal_rows,
-          ("import", "IN", "--from", "parquet", "-o", "x.h5"), 1),
-    Input("flat HDF5 of 10^12 rows, none stored", flat, ("import", "IN", *D4RL), 1),
-    Input("flat HDF5 of chunks of zeros", bomb, ("import", "IN", *D4RL), 1),
-    Input("Minari metadata nested 100,000 deep", metadata,
-          ("import", "IN", "--from", "minari", "-o", "x.h5"), 1),
-    Input("datasets.yaml with aliases nested nine deep", text("datasets.yaml", ALIASES),
-          ("list",), 2),
-    Input("datasets.yaml of 100,000 brackets", text("datasets.yaml", "a: " + "[" * 100_000),
-          ("list",), 2),
-    Input("datasets.yaml that asks for 10^12 episodes",
-          text("datasets.yaml", ENTRY.replace("RANDOM", "1000000000000")), ("plan", "tiny"), 2),
-    Input("datasets.yaml that asks for a million blocks",
-          text("datasets.yaml", ENTRY.replace("RANDOM", "1000000").replace("block: 2", "block: 1")),
-          ("plan", "tiny"), 2),
-    Input("a pipe named x.h5", pipe("x.h5"), ("list",), 0),
-    Input("a pipe named x.h5", pipe("x.h5"), ("show", "x.h5"), 1),
-    Input("a pipe named datasets.yaml", pipe("datasets.yaml"), ("list",), 1),
-    Input("/dev/zero", lambda: Path("/dev/zero"), ("show", "IN"), 1),
-)  # fmt: skip
+    began, said = time.monotonic(), Path("said")
+    pid = os.fork()
+    if pid == 0:
+        code = 70
+        try:
+            signal.alarm(int(NO_END_S))
+            handle = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            os.dup2(handle, 1)
+            os.dup2(handle, 2)
+            code = main(list(words))
+        except BaseException:  # noqa: BLE001  it is shown, and counted
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+    _, status, used = os.wait4(pid, 0)
+    text = said.read_text(errors="replace")
+    said.unlink()
+    seconds = time.monotonic() - began
+    return os.waitstatus_to_exitcode(status), text, used.ru_maxrss / 1024, seconds
 
 
 # ---- the run ----------------------------------------------------------------------------------
 
 
-def originals() -> None:
+def originals(run: Run) -> None:
     """tiny.h5 and its exports, made with the project's own commands."""
     Path("datasets.yaml").write_text(ENTRY.replace("RANDOM", "2"))
     commands = [("collect", "tiny", "-q", "--workers", "0")]
@@ -255,7 +106,7 @@ def size_of(path: Path) -> int:
     return sum(one.stat().st_size for one in files if one.is_file())
 
 
-def look(one: Input, base: Path) -> dict[str, Any]:
+def look(one: Input, base: Path, run: Run) -> dict[str, Any]:
     """One input in a copy of the originals."""
     with tempfile.TemporaryDirectory(dir=base) as name:
         for made in ("tiny.h5", "npz", "parquet", "minari"):
@@ -270,7 +121,9 @@ def look(one: Input, base: Path) -> dict[str, Any]:
     faults = [] if code == one.code else [f"exit code {code}, not {one.code}"]
     faults += ["a traceback"] * ("Traceback" in said)
     faults += [f"{megabytes:.0f} MB"] * (megabytes > MOST_MB)
-    faults += ["no end"] * (code == -signal.SIGKILL) or [f"{seconds:.1f} s"] * (seconds > MOST_S)
+    faults += ["no end"] * (code in (-signal.SIGKILL, -signal.SIGALRM)) or [f"{seconds:.1f} s"] * (
+        seconds > MOST_S
+    )
     return {"input": one.name, "command": one.words[0], "bytes": size, "code": code,
             "megabytes": round(megabytes), "seconds": round(seconds, 1), "faults": faults,
             "error": error.replace(str(path), path.name)[:160]}  # fmt: skip
@@ -281,16 +134,17 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", default="")
+    parser.add_argument("--forked", action="store_true")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     target = None if arguments.json is None else arguments.json.resolve()
-    rows = []
+    rows, way = [], run_forked if arguments.forked else run
     with tempfile.TemporaryDirectory() as name:
         os.chdir(name)
-        originals()
+        originals(way)
         for one in INPUTS:
             if arguments.only in f"{one.words[0]} {one.name}":
-                rows.append(look(one, Path(name)))
+                rows.append(look(one, Path(name), way))
                 print(json.dumps(rows[-1]), flush=True)
         os.chdir("/")
     if target is not None:

@@ -165,10 +165,11 @@ def _run(command: Run, rest: list[str]) -> int:
 
 
 def _study(command: Study) -> int:
-    from mpdt.train.run.progress import Progress
+    from mpdt.train.study.apart import Engine, run_cells
     from mpdt.train.study.plans import get_study
-    from mpdt.train.study.study import Places, inspect_cell, run_study
+    from mpdt.train.study.study import Places, inspect_cell
 
+    engine = Engine(command.engine, command.workers, command.address)
     cells = [cell for cell in get_study(command.name) if command.only in cell.name]
     places = Places(
         command.data_dir, command.runs_dir / command.name, command.results_dir / command.name
@@ -176,7 +177,7 @@ def _study(command: Study) -> int:
 
     def body(stop: StopRequest) -> int:
         looked = (inspect_cell(cell, places) for cell in cells)
-        done = run_study(cells, places, Progress(command.quiet, stop), command.restart)
+        done = run_cells(cells, places, engine, stop, command.quiet, command.restart)
         states = []
         for outcome in looked if command.dry_run else done:
             line = f"{outcome.state:<8} {outcome.cell.name}  {outcome.note}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -153,6 +153,13 @@ class Study:
     """Train and judge again what is done as well; its results are replaced."""
     dry_run: bool = False
     """Say what is done and what is to do."""
+    workers: int = 1
+    """Cells at once, each in a process of its own; 1 = one after another in this one."""
+    engine: Literal["processes", "ray"] = "processes"
+    """processes: on this machine. ray: as many cells at once as a cluster has cores for; data,
+    runs and results lie where every node sees them."""
+    address: str | None = None
+    """Of a running Ray cluster; auto = the one of this machine."""
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
     """No progress on stderr."""
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False

@@ -102,7 +102,7 @@ class _WorkerProcesses:
     def __init__(self, function: Callable[[Any], Any], size: int) -> None:
         context = multiprocessing.get_context("spawn")
         self.processes: dict[Connection, SpawnProcess] = {}
-        with _worker_environment(), _interrupts_held_back():
+        with _worker_environment(), interrupts_held_back():
             for _ in range(size):
                 ours, theirs = context.Pipe()
                 process = context.Process(target=_work, args=(theirs, function), daemon=True)
@@ -163,7 +163,7 @@ class _WorkerProcesses:
 
 def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:
     """Main of a worker: answer (error, traceback, result) until an empty task or a closed pipe."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     while True:
         try:
@@ -185,7 +185,8 @@ def _work(pipe: Connection, function: Callable[[Any], Any]) -> None:
             pipe.send((RuntimeError("answer cannot be pickled"), traceback.format_exc(), None))
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
+    """Main of a thread of a worker: the process ends when its parent is gone."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     wait([parent.sentinel])
@@ -208,7 +209,7 @@ def _worker_environment() -> Iterator[None]:
 
 
 @contextmanager
-def _interrupts_held_back() -> Iterator[None]:
+def interrupts_held_back() -> Iterator[None]:
     """A blocked signal mask is inherited, so Ctrl-C never reaches a worker."""
     # Starting the resource tracker unblocks the signal, so it has to run before.
     resource_tracker.ensure_running()

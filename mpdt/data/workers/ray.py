@@ -49,7 +49,7 @@ def map_blocks_ray(
     Raises: what `function` raised; SimulatorError without Ray or cluster; MpdtError if Ray
         itself gives up. Leaving the iterator early cancels what is in flight.
     """
-    ray = _connect(address)
+    ray = connect(address)
     run = uuid.uuid4().hex  # names the function in the workers; nothing stored depends on it
     try:
         shared = ray.put(function)
@@ -77,7 +77,8 @@ def map_blocks_ray(
         ray.shutdown()
 
 
-def _connect(address: str | None) -> Any:
+def connect(address: str | None) -> Any:
+    """The package, connected to a cluster: see `map_blocks_ray`. Raises: SimulatorError."""
     try:
         import ray
     except ImportError as error:

@@ -64,7 +64,11 @@ class Progress:
         per_step_s = (now - self._began_s) / max(1, done - self._first)
         left_s = per_step_s * (total - done)
         clock = f"{int(left_s) // 60}:{int(left_s) % 60:02d} left" if not last else "done"
-        line = visible(f"{phase:<12} {done:>6}/{total}  {clock:<12} {text}")
+        self.write(f"{phase:<12} {done:>6}/{total}  {clock:<12} {text}", last)
+
+    def write(self, line: str, last: bool) -> None:
+        """Show where a phase is; `last`: it ends here."""
+        line = visible(line)
         if self._terminal:
             self._stream.write("\r" + line[:118].ljust(118) + ("\n" if last else ""))
             self._open = not last

@@ -1,5 +1,7 @@
 """Run the cells of a study one after another; what is done is skipped, what failed is told.
 
+`apart.py` runs several at a time, each by `run_study` of that cell alone.
+
 runs/STUDY/CELL/            the run, resumable like any other
 results/STUDY/CELL.json     its results, small: a run counts as done when this is here and
                             of the same settings and data
@@ -17,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mpdt.disk import disk, write_bytes
+from mpdt.disk import disk, holding, write_bytes
 from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError
 from mpdt.reading import read_json
 from mpdt.train.evaluate.sealed import check_digest, sealed
@@ -76,16 +78,28 @@ def configure(cell: Cell) -> TrainConfig:
     return from_plain(called_once(merge(plain, {**cell.changes, **label, "seed": cell.seed})))
 
 
-def inspect_cell(cell: Cell, places: Places) -> Outcome:
+def inspect_cell(cell: Cell, places: Places, restart: bool = False) -> Outcome:
     """Whether the cell is done; reads the file's header, trains nothing.
 
     A file or setting that is refused makes it `failed`.
+
+    Args:
+        restart: a cell that is done is to do again.
     """
-    return _look_at(cell, places)[0]
+    return _look_at(cell, places, restart)[0]
 
 
-def _look_at(cell: Cell, places: Places) -> tuple[Outcome, Prepared | None]:
+def _look_at(cell: Cell, places: Places, restart: bool) -> tuple[Outcome, Prepared | None]:
     """The outcome, and what a run of the cell would begin with, where there is something."""
+    outcome, prepared = _as_it_is(cell, places)
+    if restart and outcome.state == "done":
+        again = Outcome(cell, "to do") if prepared else Outcome(cell, "no data",
+                                                                str(places.file(cell)))  # fmt: skip
+        return again, prepared
+    return outcome, prepared
+
+
+def _as_it_is(cell: Cell, places: Places) -> tuple[Outcome, Prepared | None]:
     stored, damage = _read(places.result(cell))
     try:
         config = configure(cell)
@@ -114,10 +128,8 @@ def run_study(
         restart: begin every cell anew, the done ones too.
     """
     for cell in cells:
-        outcome, prepared = _look_at(cell, places)
-        if prepared is None and restart and outcome.state == "done":
-            outcome = Outcome(cell, "no data", str(places.file(cell)))
-        if prepared is not None and (restart or outcome.state == "to do"):
+        outcome, prepared = _look_at(cell, places, restart)
+        if prepared is not None and outcome.state == "to do":
             progress.say(f"{cell.name} {outcome.note}".rstrip())
             try:
                 _run_cell(cell, prepared, places, progress, restart)
@@ -142,8 +154,10 @@ def _run_cell(
     }
     with disk(places.results):
         places.results.mkdir(parents=True, exist_ok=True)
-    if places.may_keep_prompts(cell):
-        keep_prompts(folder.weights, places.prompts(cell))
+    # Another cell of that data set may end now as well.
+    with holding(places.results / f"{cell.data}{KEPT}", wait_s=60):
+        if places.may_keep_prompts(cell):
+            keep_prompts(folder.weights, places.prompts(cell))
     write_bytes(places.result(cell), encode_cell(results | extra))
 
 
