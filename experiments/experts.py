@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mpdt.data.sim.metaworld import MetaworldEnv, quiet
+from mpdt.data.sim.metaworld import MetaworldEnv
 from mpdt.data.sim.scripts import Expert, corrections_of
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.workers.processes import map_blocks
@@ -54,8 +54,7 @@ def measure(env: MetaworldEnv, raw: bool, num_goals: int) -> Row:
     for number in range(num_goals):
         observation = env.reset(env.draw(FIRST_GOAL + number))
         for step in range(HORIZON):
-            with quiet():
-                action = expert.act(observation).astype(np.float32)
+            (action,) = expert.act(observation[None]).astype(np.float32)
             observation, rewards[number, step], successes[number, step] = env.step(action)
     returns = rewards.sum(axis=1)
     return Row(

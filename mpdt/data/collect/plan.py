@@ -66,7 +66,7 @@ class Plan:
     """Everything `collect` will do, before anything is done.
 
     Args:
-        side_by_side: rows a policy is evaluated at; 0 = as many as the family's own take.
+        side_by_side: rows a policy is evaluated at; 0 = those of a block.
     """
 
     spec: DatasetSpec
@@ -86,9 +86,8 @@ class Plan:
 
     @property
     def width(self) -> int:
-        """Rows a policy is evaluated at. Meta-World envs are stepped one by one."""
-        own = 1 if self.family.simulator == "metaworld" else self.spec.block
-        return self.side_by_side or own
+        """Rows a policy is evaluated at."""
+        return self.side_by_side or self.spec.block
 
     def of_kind(self, kind: str, name: str | None = None) -> list[Block]:
         return [b for b in self.blocks if b.kind == kind and name in (None, b.name)]

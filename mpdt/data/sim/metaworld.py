@@ -1,4 +1,4 @@
-"""MetaworldBatch: Meta-World tasks, one published env per row, with our own goal draw.
+"""MetaworldBatch: Meta-World tasks, one published env per task, with our own goal draw.
 
 The benchmark classes seed through numpy's global generator and reset every env 50 times, so
 they are not used. `reset(seed=)` of the envs is ignored (Farama-Foundation/Metaworld#555);
@@ -6,9 +6,10 @@ with the reset vector frozen an episode is a function of (vector, actions) and n
 
     draw    seeded mode, `env.seed(n)`, let the env accept a vector, read it back
     reset   freeze that vector, `env.reset()`: every reset is then the same start
-    step    `env.step(action)` with the float32 action as it is stored
+    step    `env.step(action)` with the float32 action as it is stored; of all rows of a task at
+            once in `lockstep/`, which returns the same bytes
 
-An env takes 0.11-0.17 s and about 21 MiB; envs are built at their row's first use and kept.
+An env takes 0.11-0.17 s and about 21 MiB; envs are built at their task's first use and kept.
 
 Used by simulators.py, gym.py, scripts.py and scripted.py.
 """
@@ -18,6 +19,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +27,7 @@ import numpy.typing as npt
 
 from mpdt.data.sim.batch import BoolArray, FloatArray, StepResult
 from mpdt.data.sim.contacts import FingerContacts
+from mpdt.data.sim.lockstep.rows import TaskRows
 from mpdt.data.sim.sawyer import quick_class
 from mpdt.errors import ShapeError, SimulatorError, UsageError, unknown_name
 from mpdt.seeding import SeedKey, Stream
@@ -77,12 +80,15 @@ def find_class(task_name: str, kind: str) -> type[Any]:
     return found
 
 
-def scripted_policy(task_name: str) -> Any:
-    """Meta-World's scripted expert of one task: `get_action(observation) -> (4,)`.
-
-    It needs the goal columns and may answer outside [-1, 1]. Scripts keep no state.
-    """
-    return find_class(task_name, "script")()
+def check_running(num_steps: int, task_name: str) -> None:
+    """Raises: UsageError for a step before a reset, or after the last one."""
+    if num_steps >= MAX_STEPS:
+        raise UsageError(
+            "a Meta-World episode is over",
+            where=task_name,
+            expected=f"reset(), then at most {MAX_STEPS} steps",
+            hint=f"lower the horizon to {MAX_STEPS} or less",
+        )
 
 
 class MetaworldEnv:
@@ -105,6 +111,11 @@ class MetaworldEnv:
             env.touching_object = FingerContacts(env)
         self._env = env
         self._num_steps = 0
+
+    @property
+    def inner(self) -> Any:
+        """The env itself, for rows that share its simulator."""
+        return self._env
 
     @property
     def scene(self) -> tuple[Any, Any]:
@@ -180,22 +191,27 @@ class MetaworldEnv:
         package repeats an episode bit for bit; a cast to float64 would round its products
         otherwise. The env clips to [-1, 1] inside.
         """
-        if self._num_steps >= MAX_STEPS:
-            raise UsageError(
-                "a Meta-World episode is over",
-                where=self.task_name,
-                expected=f"reset(), then at most {MAX_STEPS} steps",
-                hint=f"lower the horizon to {MAX_STEPS} or less",
-            )
+        check_running(self._num_steps, self.task_name)
         observation, reward, _, _, info = self._env.step(action)
         self._num_steps += 1
         return observation, float(reward), bool(info["success"])
 
 
-class MetaworldBatch:
-    """BatchEnv over Meta-World: row i is an env of `tasks[i]`, tasks may differ by row.
+@lru_cache(maxsize=1)
+def _kept_env(task_name: str) -> MetaworldEnv:
+    """The env of a task; that of the last one is kept for the next batch.
 
-    Rewards are 0 to 10 per step, nothing terminates, success is reported per step.
+    Building one takes longer than a short block. Batches may share one: their rows are put into
+    its simulator whenever they are stepped.
+    """
+    return MetaworldEnv(task_name)
+
+
+class MetaworldBatch:
+    """BatchEnv over Meta-World: row i is an episode of `tasks[i]`, tasks may differ by row.
+
+    Rewards are 0 to 10 per step, nothing terminates, success is reported per step. The rows of a
+    task share one env and are stepped in lockstep.
     """
 
     observation_size = OBSERVATION_SIZE
@@ -206,16 +222,29 @@ class MetaworldBatch:
         self.num_rows = len(self.task_names)
         self.low = np.full(ACTION_SIZE, -1.0)
         self.high = np.full(ACTION_SIZE, 1.0)
-        self._envs: dict[int, MetaworldEnv] = {}
+        names = np.array(self.task_names)
+        self._rows = {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
+        self._envs: dict[str, MetaworldEnv] = {}
+        self._groups: dict[str, TaskRows] = {}
+        self._num_steps = MAX_STEPS
 
-    def _env(self, row: int) -> MetaworldEnv:
-        if row not in self._envs:
-            self._envs[row] = MetaworldEnv(self.task_names[row])
-        return self._envs[row]
+    def _env(self, name: str) -> MetaworldEnv:
+        if name not in self._envs:
+            self._envs[name] = _kept_env(name)
+        return self._envs[name]
+
+    def _group(self, name: str) -> TaskRows:
+        if name not in self._groups:
+            env, rows = self._env(name), len(self._rows[name])
+            self._groups[name] = TaskRows(name, env.inner, env.reset, rows)
+        return self._groups[name]
 
     def scene(self, row: int) -> tuple[Any, Any]:
         """MuJoCo's own (MjModel, MjData) of a row."""
-        return self._env(row).scene
+        name = self.task_names[row]
+        if name in self._groups:
+            self._groups[name].show(int(np.searchsorted(self._rows[name], row)))
+        return self._env(name).scene
 
     def draw_goals(self, keys: Sequence[SeedKey]) -> list[FloatArray]:
         """One accepted reset vector (3,) or (6,) per row, from stream GOAL of its key.
@@ -223,13 +252,21 @@ class MetaworldBatch:
         Ends the episodes in progress: the envs must be reset before they are stepped.
         """
         self._expect(len(keys), "keys")
-        return [self._env(row).draw(key.env_seed(Stream.GOAL)) for row, key in enumerate(keys)]
+        self._num_steps = MAX_STEPS
+        return [
+            self._env(name).draw(key.env_seed(Stream.GOAL))
+            for name, key in zip(self.task_names, keys, strict=True)
+        ]
 
     def reset(self, keys: Sequence[SeedKey], goals: Sequence[FloatArray]) -> FloatArray:
         """First observations (B, 39). `keys` add nothing: with a goal set nothing is random."""
         self._expect(len(keys), "keys")
         self._expect(len(goals), "goals")
-        return np.stack([self._env(row).reset(goal) for row, goal in enumerate(goals)])
+        first = np.zeros((self.num_rows, OBSERVATION_SIZE))
+        for name, rows in self._rows.items():
+            first[rows] = self._group(name).reset([goals[row] for row in rows.tolist()])
+        self._num_steps = 0
+        return first
 
     def step(self, actions: npt.NDArray[np.float32]) -> StepResult:
         """One step of every row with exactly these float32 actions (B, 4)."""
@@ -239,15 +276,15 @@ class MetaworldBatch:
                 expected=f"({self.num_rows}, {ACTION_SIZE}) float32",
                 found=f"{actions.shape} {actions.dtype}",
             )
-        results = [self._env(row).step(action) for row, action in enumerate(actions)]
-        observations, rewards, successes = zip(*results, strict=True)
+        check_running(self._num_steps, self.task_names[0])
+        self._num_steps += 1
         never: BoolArray = np.zeros(self.num_rows, dtype=np.bool_)
-        return StepResult(
-            observations=np.stack(observations),
-            rewards=np.array(rewards, dtype=np.float64),
-            terminations=never,
-            successes=np.array(successes, dtype=np.bool_),
-        )
+        observations = np.zeros((self.num_rows, OBSERVATION_SIZE))
+        rewards, successes = np.zeros(self.num_rows), never.copy()
+        for name, rows in self._rows.items():
+            found = self._groups[name].step(actions[rows])
+            observations[rows], rewards[rows], successes[rows] = found
+        return StepResult(observations, rewards, never, successes)
 
     def _expect(self, found: int, what: str) -> None:
         if found != self.num_rows:

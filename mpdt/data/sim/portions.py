@@ -8,7 +8,6 @@ Seeds depend on the row only: a portion is the same whoever plays it, and whenev
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import msgspec
@@ -77,15 +76,14 @@ class Player:
     def __init__(self, spec: DatasetSpec, seed: int) -> None:
         self.spec, self.seed = spec, seed
         family = get_family(spec.family)
-        self._one_by_one = family.simulator == "metaworld"  # a collection plays it so too
         # mt50 holds every task, so the numbers do not depend on which family asks for them.
-        self._family = get_family("mt50") if self._one_by_one else family
+        self._family = get_family("mt50") if family.simulator == "metaworld" else family
         self._ladder: Ladder | None = None
         self._env: tuple[tuple[int, int], BatchEnv] | None = None
 
     def __call__(self, portion: Portion) -> tuple[Portion, dict[int, Score]]:
         """The portion and its score at each of its horizons."""
-        episodes = list(self.episodes(portion))
+        episodes = self.episodes(portion)
 
         def score(horizon: int) -> Score:
             returns = [e.rewards[:horizon].sum(dtype=np.float64) for e in episodes]
@@ -94,23 +92,21 @@ class Player:
 
         return portion, {horizon: score(horizon) for horizon in portion.horizons}
 
-    def episodes(self, portion: Portion) -> Iterator[Episode]:
+    def episodes(self, portion: Portion) -> list[Episode]:
         """The episodes of a portion, as long as its longest horizon, in order of their rows."""
         family = self._family
         task, quality = family.task(portion.task.name), QUALITIES[kind_of(portion.policy)]
         first = SeedKey(self.seed, family.id, task.index, quality, 0, 0)
         keys = [first.at_row(portion.first + row) for row in range(portion.rows)]
-        policy, width = self._policy(portion), 1 if self._one_by_one else len(keys)
-        for start in range(0, len(keys), width):
-            yield from run_block(
-                self._batch(task, width),
-                policy,
-                keys[start : start + width],
-                horizon=max(portion.horizons),
-                quality=-1,
-                progress=-1.0,
-                width=1 if self._one_by_one else ROWS,
-            )
+        return run_block(
+            self._batch(task, len(keys)),
+            self._policy(portion),
+            keys,
+            horizon=max(portion.horizons),
+            quality=-1,
+            progress=-1.0,
+            width=ROWS,
+        )
 
     def _batch(self, task: Task, rows: int) -> BatchEnv:
         wanted = (task.index, rows)

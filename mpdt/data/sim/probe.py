@@ -10,12 +10,13 @@ All rates of a task are measured on the same goals, coins and uniform actions.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from mpdt.data.sim.batch import BatchEnv, FloatArray
+from mpdt.data.sim.batch import FloatArray
 from mpdt.data.sim.calibration import Measurement
 from mpdt.data.sim.play import run_block
 from mpdt.data.sim.scripted import ScriptedPolicy
@@ -38,32 +39,32 @@ class Probe:
         self._family = get_family("mt50")
         self.task = self._family.task(task_name)
         self.seed = seed
-        self._env: BatchEnv = make_batch(self._family, [self.task])
-        self._records: dict[float, list[_Record]] = {}
+        self._records: dict[float, dict[int, _Record]] = {}
 
     def outcomes(
         self, rate: float, horizon: int, num_episodes: int
     ) -> tuple[FloatArray, FloatArray]:
         """Returns and successes (0 or 1) of the first `num_episodes` episodes, (N,) each."""
-        records = self._records.setdefault(rate, [])
-        for row in range(num_episodes):
-            if row == len(records):
-                records.append(self._play(rate, horizon, row))
-            elif len(records[row].rewards) < horizon:
-                records[row] = self._play(rate, horizon, row)
-        chosen = records[:num_episodes]
+        records = self._records.setdefault(rate, {})
+        missing = [
+            row for row in range(num_episodes)
+            if row not in records or len(records[row].rewards) < horizon
+        ]  # fmt: skip
+        if missing:
+            records.update(zip(missing, self._play(rate, horizon, missing), strict=True))
+        chosen = [records[row] for row in range(num_episodes)]
         returns = [record.rewards[:horizon].sum(dtype=np.float64) for record in chosen]
         successes = [float(record.successes[:horizon].any()) for record in chosen]
         return np.array(returns), np.array(successes)
 
-    def _play(self, rate: float, horizon: int, row: int) -> _Record:
-        key = SeedKey(
-            self.seed, self._family.id, self.task.index, Quality.CALIBRATION, 0, row
-        )  # fmt: skip
+    def _play(self, rate: float, horizon: int, rows: list[int]) -> Iterator[_Record]:
+        first = SeedKey(self.seed, self._family.id, self.task.index, Quality.CALIBRATION, 0, 0)
+        keys = [first.at_row(row) for row in rows]
+        env = make_batch(self._family, [self.task] * len(rows))
         policy = ScriptedPolicy([self.task.name], rate)
-        (episode,) = run_block(self._env, policy, [key], horizon=horizon, quality=-1, progress=-1.0)
-        assert episode.successes is not None, "Meta-World tells success"
-        return _Record(episode.rewards, episode.successes)
+        for episode in run_block(env, policy, keys, horizon=horizon, quality=-1, progress=-1.0):
+            assert episode.successes is not None, "Meta-World tells success"
+            yield _Record(episode.rewards, episode.successes)
 
 
 class Gauge:

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 _DOUBT = 1e-13  # scipy corrects matrices from 1e-12 on
+_EYE = np.eye(3)
 
 
 class QuickRotation:
@@ -51,18 +52,40 @@ def _is_rotation(m: list[list[float]]) -> bool:
 
 
 def _quaternion(m: list[list[float]]) -> Any:
-    (a, b, c), (d, e, f), (g, h, i) = m
-    trace = a + e + i
-    largest = max(a, e, i, trace)
-    # Of equal values the first is taken, as argmax does.
-    if a == largest:
-        q = (1 - trace + 2 * a, d + b, g + c, h - f)
-    elif e == largest:
-        q = (d + b, 1 - trace + 2 * e, h + f, c - g)
-    elif i == largest:
-        q = (g + c, h + f, 1 - trace + 2 * i, d - b)
-    else:
-        q = (h - f, c - g, d - b, 1 + trace)
-    x, y, z, w = q
+    a, e, i = m[0][0], m[1][1], m[2][2]
+    candidates = (a, e, i, a + e + i)
+    x, y, z, w = _unscaled(m, candidates.index(max(candidates)))
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     return (x / norm, y / norm, z / norm, w / norm)
+
+
+def _unscaled(m: Any, largest: int) -> tuple[Any, Any, Any, Any]:
+    """Of numbers or of arrays; `largest` of the diagonal and the trace, the first of equals."""
+    (a, b, c), (d, e, f), (g, h, i) = m
+    trace = a + e + i
+    if largest == 0:
+        return 1 - trace + 2 * a, d + b, g + c, h - f
+    if largest == 1:
+        return d + b, 1 - trace + 2 * e, h + f, c - g
+    if largest == 2:
+        return g + c, h + f, 1 - trace + 2 * i, d - b
+    return h - f, c - g, d - b, 1 + trace
+
+
+def quaternions(matrices: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(x, y, z, w) of MuJoCo's matrices (B, 3, 3), each as `QuickRotation` has it: (B, 4).
+
+    MuJoCo makes them of quaternions, so they never mirror.
+    """
+    a, e, i = matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 2, 2]
+    largest = np.argmax((a, e, i, a + e + i), axis=0)
+    found = np.empty((len(matrices), 4))
+    for case in set(largest.tolist()):
+        rows = largest == case
+        x, y, z, w = q = _unscaled(matrices[rows].transpose(1, 2, 0), case)
+        found[rows] = (np.array(q) / np.sqrt(x * x + y * y + z * z + w * w)).T
+    doubt = np.abs(matrices @ matrices.transpose(0, 2, 1) - _EYE)
+    if not doubt.max(initial=0.0) < _DOUBT:
+        for row in np.flatnonzero(~(doubt < _DOUBT).all(axis=(1, 2))):
+            found[row] = QuickRotation.from_matrix(matrices[row]).as_quat()
+    return found

@@ -17,7 +17,7 @@ from mpdt.data.sim.actors import (
     definition_hash,
     uniform_actions,
 )
-from mpdt.data.sim.metaworld import ACTION_SIZE, quiet
+from mpdt.data.sim.metaworld import ACTION_SIZE
 from mpdt.data.sim.scripts import Expert, corrections_of
 from mpdt.errors import UsageError
 from mpdt.seeding import Stream
@@ -36,7 +36,7 @@ class ScriptedPolicy:
     are functions of one observation, keep no state, and answer within [-1, 1].
 
     Args:
-        task_names: Meta-World task of each row, without "-v3".
+        task_names: Meta-World task of each row, without "-v3"; one name is that of every row.
         mix_rate: in [0, 1].
         task, rung, level: what to record about it (see PolicyInfo); -1 = unknown.
 
@@ -57,7 +57,8 @@ class ScriptedPolicy:
                 "mixing rate out of range", expected="a number in [0, 1]", found=str(mix_rate)
             )
         self.task_names, self.mix_rate = tuple(task_names), mix_rate
-        self._scripts: list[Expert] | None = None
+        self._experts: dict[str, Expert] = {}
+        self._rows: dict[str, npt.NDArray[np.int64]] = {}
         self._coins: npt.NDArray[np.bool_] | None = None
         self._uniform: FloatArray | None = None
         definition: dict[str, object] = {
@@ -80,9 +81,11 @@ class ScriptedPolicy:
         )
 
     def begin(self, rows: Rows) -> None:
-        assert len(rows.keys) == len(self.task_names), "one key per row"
-        if self._scripts is None:
-            self._scripts = [Expert(name) for name in self.task_names]
+        assert len(self.task_names) in (1, len(rows.keys)), "one key per row"
+        names = np.broadcast_to(np.array(self.task_names), len(rows.keys))
+        self._rows = {name: np.flatnonzero(names == name) for name in set(self.task_names)}
+        if not self._experts:
+            self._experts = {name: Expert(name) for name in self._rows}
         coins = [key.generator(Stream.POLICY).random(rows.horizon) for key in rows.keys]
         self._coins = np.stack(coins) < self.mix_rate
         self._uniform = uniform_actions(rows.keys, rows.horizon, ACTION_SIZE, -1.0, 1.0)
@@ -90,10 +93,11 @@ class ScriptedPolicy:
     def act(
         self, step: int, observations: Observations, rewards: Rewards | None = None
     ) -> FloatArray:
-        assert self._scripts is not None and self._coins is not None, "begin() comes first"
-        assert self._uniform is not None
+        assert self._coins is not None and self._uniform is not None, "begin() comes first"
         actions = self._uniform[:, step].copy()
-        with quiet():  # scripts warn whenever they answer outside [-1, 1]
-            for row in np.flatnonzero(~self._coins[:, step]):
-                actions[row] = self._scripts[row].act(observations[row])
+        for name, rows in self._rows.items():
+            scripted = rows[~self._coins[rows, step]]
+            if len(scripted):
+                shown = observations[scripted].astype(np.float64, copy=False)
+                actions[scripted] = self._experts[name].act(shown)
         return actions

@@ -33,7 +33,7 @@ from mpdt.errors import DataError, MpdtError, UsageError, quoted
 from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
 ID = "replay"
-ROWS = 50  # episodes side by side, where the simulator steps them together
+ROWS = 50  # episodes side by side
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,10 @@ def replay(dataset: Dataset, episodes: Sequence[Episode], horizon: int) -> Itera
         if episode.seed_key == UNKNOWN_SEED_KEY:
             raise DataError("episodes without a seed cannot be simulated", where=str(dataset.path))
         by_task.setdefault(episode.task, []).append(place)
-    rows = 1 if family.simulator == "metaworld" else ROWS
     for task, places in sorted(by_task.items()):
         env: BatchEnv | None = None  # kept while its width fits: building one takes a while
-        for first in range(0, len(places), rows):
-            some = places[first : first + rows]
+        for first in range(0, len(places), ROWS):
+            some = places[first : first + ROWS]
             if env is None or env.num_rows != len(some):
                 options = dict(dataset.spec.get("env") or {})
                 env = make_batch(family, [family.tasks[task]] * len(some), options)

@@ -136,9 +136,9 @@ def test_tta_rule_says_which_tasks_and_how_long() -> None:
     assert len(both.of_kind("tta", "short")) == len(both.of_kind("tta", "trained")) == 2
 
 
-def test_width_is_the_block_and_one_in_metaworld() -> None:
+def test_width_is_the_block() -> None:
     assert make_plan(make_spec()).width == 4
-    assert make_plan(make_spec(family="ml10", behaviour=Behaviour(script="metaworld"))).width == 1
+    assert make_plan(make_spec(family="ml10", behaviour=Behaviour(script="metaworld"))).width == 4
 
 
 def test_steps_of_a_block() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.sim.actors import ConstantPolicy, Rows, UniformPolicy, ZeroPolicy, definition_hash
-from mpdt.data.sim.metaworld import MetaworldEnv, scripted_policy
+from mpdt.data.sim.metaworld import MetaworldEnv, find_class
 from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.errors import UsageError
 from mpdt.seeding import SeedKey, Stream
@@ -97,8 +97,8 @@ def test_rate_one_is_exactly_uniform(reach):
 def test_rate_zero_is_exactly_the_clipped_script(reach):
     observations = np.stack([reach] * 3)
     with pytest.warns(UserWarning, match="may be too high"):
-        expected = np.clip(scripted_policy("reach").get_action(reach), -1.0, 1.0)
-    mixed = run(ScriptedPolicy(["reach"] * 3, 0.0), KEYS, 4, observations)
+        expected = np.clip(find_class("reach", "script")().get_action(reach), -1.0, 1.0)
+    mixed = run(ScriptedPolicy(["reach"], 0.0), KEYS, 4, observations)  # one name for all rows
     for row in range(3):
         for step in range(4):
             np.testing.assert_array_equal(mixed[row, step], expected)

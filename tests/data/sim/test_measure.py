@@ -189,8 +189,8 @@ def test_a_short_horizon_is_the_beginning_of_a_long_one(policy: str) -> None:
 def test_a_portion_is_the_same_inside_a_larger_one() -> None:
     """Networks are evaluated at one width, so the last digit does not depend on the portion."""
     player, task = Player(spec(), 1), spec().resolve_tasks()[0]
-    whole = list(player.episodes(Portion(task, "expert", (4,), 0, 5)))
-    part = list(player.episodes(Portion(task, "expert", (4,), 2, 2)))
+    whole = player.episodes(Portion(task, "expert", (4,), 0, 5))
+    part = player.episodes(Portion(task, "expert", (4,), 2, 2))
     for one, other in zip(whole[2:4], part, strict=True):
         assert one.observations.tobytes() == other.observations.tobytes()
         assert one.actions.tobytes() == other.actions.tobytes()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.sim import scripts
-from mpdt.data.sim.metaworld import MetaworldEnv, quiet, scripted_policy
+from mpdt.data.sim.metaworld import MetaworldEnv, find_class, quiet
 from mpdt.data.sim.scripts import CORRECTIONS, INSTEAD, Expert, Steer, corrections_of
 from mpdt.data.spec.tasks import get_family
 
@@ -22,22 +22,27 @@ def seen(hand=(0, 0, 0), opening=1.0, first=(0, 0, 0), second=(0, 0, 0), goal=(0
 
 
 def corrected(task, **what):
-    return CORRECTIONS[task](seen(**what), SCRIPT).tolist()
+    return once(CORRECTIONS[task], seen(**what)).tolist()
+
+
+def once(correction, observation):
+    """The action of one observation; a correction answers many."""
+    return correction(observation[None], SCRIPT[None])[0]
 
 
 def test_steer_moves_the_object_on_its_axes_only_when_near():
     steer = Steer(0.05, 10.0, axes=(0, 2))
     # error (0.03, -, 0.02): 0.036 from the goal; y, 0.4 off, is not looked at
-    near = steer(seen(first=(0.1, 0.2, 0.3), goal=(0.13, 0.6, 0.32)), SCRIPT)
+    near = once(steer, seen(first=(0.1, 0.2, 0.3), goal=(0.13, 0.6, 0.32)))
     np.testing.assert_allclose(near, [0.3, 0.0, 0.2, 0.7], atol=1e-12)
-    far = steer(seen(first=(0.1, 0.2, 0.3), goal=(0.13, 0.6, 0.34)), SCRIPT)  # 0.03, 0.04: 0.05
+    far = once(steer, seen(first=(0.1, 0.2, 0.3), goal=(0.13, 0.6, 0.34)))  # 0.03, 0.04: 0.05
     assert far.tolist() == SCRIPT.tolist()
 
 
 def test_steer_can_stand_still_and_look_at_the_second_object():
     hold = Steer(0.05, second=True)
-    assert hold(seen(second=(0.3, 0, 9), goal=(0.3, 0.04, 0)), SCRIPT).tolist() == [0, 0, 0, 0.7]
-    assert hold(seen(first=(0.3, 0, 9), goal=(0.3, 0.04, 0)), SCRIPT).tolist() == SCRIPT.tolist()
+    assert once(hold, seen(second=(0.3, 0, 9), goal=(0.3, 0.04, 0))).tolist() == [0, 0, 0, 0.7]
+    assert once(hold, seen(first=(0.3, 0, 9), goal=(0.3, 0.04, 0))).tolist() == SCRIPT.tolist()
 
 
 def test_buttons_are_approached_in_front_and_pressed_by_what_is_missing():
@@ -146,16 +151,17 @@ def test_corrections_are_told_by_what_they_do():
 def test_an_expert_without_correction_is_the_clipped_script(monkeypatch):
     observation = seen(hand=(0.0, 0.6, 0.2), first=(0.05, 0.7, 0.02), goal=(0.1, 0.8, 0.1))
     with quiet():
-        plain = np.clip(scripted_policy("push").get_action(observation), -1.0, 1.0)
-        assert Expert("push", raw=True).act(observation).tolist() == plain.tolist()
-        assert Expert("push").act(observation).tolist() == plain.tolist()  # far from the goal
-        observation[4:7] = (0.11, 0.8, 0.02)
-        assert Expert("push").act(observation)[:3].tolist() == [0.0, 0.0, 0.0]
-        # what a correction asks for beyond 1 is clipped as well
-        monkeypatch.setattr(
-            scripts, "CORRECTIONS", {"push": lambda observation, action: np.full(4, -7.0)}
-        )
-        assert Expert("push").act(observation).tolist() == [-1.0] * 4
+        answer = find_class("push", "script")().get_action(observation)
+    plain, scene = np.clip(answer, -1.0, 1.0), observation[None]
+    assert Expert("push", raw=True).act(scene).tolist() == [plain.tolist()]
+    assert Expert("push").act(scene).tolist() == [plain.tolist()]  # far from the goal
+    observation[4:7] = (0.11, 0.8, 0.02)
+    assert Expert("push").act(scene)[0, :3].tolist() == [0.0, 0.0, 0.0]
+    # what a correction asks for beyond 1 is clipped as well
+    monkeypatch.setattr(
+        scripts, "CORRECTIONS", {"push": lambda observations, actions: np.full((1, 4), -7.0)}
+    )
+    assert Expert("push").act(scene).tolist() == [[-1.0] * 4]
 
 
 def test_a_corrected_expert_keeps_what_the_script_loses():
@@ -166,8 +172,7 @@ def test_a_corrected_expert_keeps_what_the_script_loses():
     for raw in (True, False):
         expert, observation, returns[raw] = Expert("handle-press", raw=raw), env.reset(goal), 0.0
         for _ in range(120):
-            with quiet():
-                action = expert.act(observation).astype(np.float32)
+            (action,) = expert.act(observation[None]).astype(np.float32)
             observation, reward, last[raw] = env.step(action)
             returns[raw] += reward
     assert last == {True: False, False: True}
