@@ -190,11 +190,17 @@ def _study(command: Study) -> int:
 
 
 def _report(command: Report) -> int:
+    from mpdt.errors import UsageError
     from mpdt.train.report.study_tables import print_study
     from mpdt.train.run.results import read_results
     from mpdt.train.run.show import print_results
     from mpdt.train.study.summary import is_study, read_cells
 
+    if not command.folder.is_dir():
+        raise UsageError("no folder of a run or a study", where=str(command.folder),
+                         expected="a folder with results.json, or with cells of a study",
+                         hint="mpdt-train --data FILE makes a run; mpdt-data report FILE is for "
+                              "data")  # fmt: skip
     if is_study(command.folder):
         print_study(command.folder, command.output, command.json)
         if command.html is not None:
@@ -237,6 +243,7 @@ def _bundle(command: Bundle) -> int:
 def _travel(command: Push | Pull) -> int:
     from mpdt.data.remote.address import revealed
     from mpdt.train.bundle.travel import pull_bundle, push_bundle
+    from mpdt.train.run.load import bundle_folder
 
     def say(line: str) -> None:
         if not command.quiet:
@@ -244,7 +251,8 @@ def _travel(command: Push | Pull) -> int:
 
     url = revealed(command.url)
     if isinstance(command, Push):
-        text = push_bundle(command.folder, url, command.replace, command.check, say)
+        folder = bundle_folder(str(command.folder))
+        text = push_bundle(folder, url, command.replace, command.check, say)
     else:
         text = pull_bundle(url, command.output, say)
     sys.stdout.write(text + "\n")

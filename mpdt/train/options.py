@@ -248,7 +248,7 @@ class Push:
     """
 
     folder: tyro.conf.Positional[Path]
-    """The bundle, such as runs/ml10-base/policy."""
+    """The bundle, or the folder of a run, such as runs/ml10-base, whose policy/ is sent."""
     url: tyro.conf.Positional[str]
     """Where it shall be; one that ends with / gets the name of the folder."""
     replace: bool = False

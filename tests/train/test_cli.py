@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 
 import h5py
@@ -62,6 +63,35 @@ def test_the_table_has_every_row_once(finished):
 def test_references_of_another_horizon_are_not_shown(finished):
     scores = json.loads((finished / "results.json").read_text())["scores"]
     assert all(s["mean"] is None for s in scores if s["method"] == "expert")
+
+
+def test_links_in_a_run_are_neither_read_nor_written_through(tiny_file, finished, tmp_path, capsys):
+    """A folder from elsewhere may have some; --restart removes them."""
+    theirs = tmp_path / "diary.txt"
+    theirs.write_text("private")
+    folder = shutil.copytree(finished, tmp_path / "r")
+    again = ["--data", tiny_file, *QUICK, "--runs-dir", tmp_path, "--name", "r", "-q"]
+    for name in ("report.md", "results.json", "metrics.jsonl", "judged"):
+        (folder / name).unlink(missing_ok=True)
+        (folder / name).symlink_to(theirs)
+        for words in (again, ("report", folder), ("adapt", folder, "--data", tiny_file)):
+            assert call(*words) == 1
+            assert f"{name}: a link in the folder of a run" in capsys.readouterr().err
+        (folder / name).unlink()
+        shutil.copytree(finished, folder, dirs_exist_ok=True)
+    assert theirs.read_text() == "private"
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "nowhere"])
+def test_a_report_of_no_folder(tmp_path, capsys, name):
+    (tmp_path / "notes.txt").touch()
+    assert call("report", tmp_path / name) == 2
+    assert "no folder of a run or a study" in capsys.readouterr().err
+
+
+def test_a_run_is_pushed_as_its_policy(finished, tmp_path):
+    assert call("push", finished, tmp_path / "sent", "-q") == 0
+    assert {path.name for path in (tmp_path / "sent").iterdir()} >= {"config.json", "README.md"}
 
 
 def test_stop_and_resume_gives_the_same_bytes(tiny_file, finished, tmp_path, monkeypatch, capsys):

@@ -9,6 +9,7 @@ import numpy as np
 
 from mpdt.data.card.facts import QUALITIES
 from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.proof import proven
 from mpdt.data.store.tables import Float64
 
 TICKS = "▁▂▃▄▅▆▇█"
@@ -18,9 +19,9 @@ WIDTH = 72
 def episode_facts(data: Dataset, episode_id: int) -> dict[str, Any]:
     """Everything about one episode but its observations, as JSON values.
 
-    Raises: UsageError for an id outside the file.
+    Raises: UsageError for an id outside the file; FormatError for a damaged episode.
     """
-    episode, columns, i = data.episode(episode_id), data.episodes, episode_id
+    episode, columns, i = proven(data, episode_id), data.episodes, episode_id
     names = {code: name for name, code in QUALITIES.items()}
     rewards = np.asarray(episode.rewards, np.float64)
     actions = np.asarray(episode.actions, np.float64)

@@ -90,7 +90,7 @@ def load_yaml(text: str, where: str) -> Any:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"{where}, line {mark.line + 1}" if mark else where
-        problem = getattr(error, "problem", None) or str(error)
+        problem = getattr(error, "problem", None) or str(error).partition("\n")[0]
         raise SpecError(f"not valid YAML: {problem}", where=place) from error
     except (ValueError, OverflowError) as error:  # a number of thousands of digits, a date
         raise SpecError(f"not valid YAML: {error}", where=where) from error

@@ -53,8 +53,12 @@ class Report(Options):
         from mpdt.data.verify.verify import verify
         from mpdt.disk import check_replaceable, holding
         from mpdt.draw.html import write_page
+        from mpdt.errors import UsageError
 
         path, slice_name = parse_ref(self.file)
+        if path.is_dir():
+            raise UsageError("a folder, not a data file", where=str(path),
+                             hint="mpdt-train report is for runs and studies")  # fmt: skip
         data = open_dataset(path)
         facts = Facts.of(data, slice_name)
         part = f"-{slice_name}" if slice_name else ""

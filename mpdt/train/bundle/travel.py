@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from mpdt.data.remote.address import last_name
 from mpdt.disk import disk
 from mpdt.train.bundle.read import is_bundle, read_contents
 
@@ -34,8 +35,8 @@ def fetched(url: str) -> Path:
 
 
 def cached_name(url: str) -> str:
-    """Readable, and another one for every address."""
-    last = re.sub(r"[^\w.-]", "", url.rstrip("/").rpartition("/")[2].partition("?")[0])
+    """Readable, without secrets, and another one for every address."""
+    last = re.sub(r"[^\w.-]", "", last_name(url.rstrip("/")))
     return f"{last[:40] or 'policy'}-{hashlib.sha256(url.encode()).hexdigest()[:12]}"
 
 

@@ -93,6 +93,17 @@ class RunFolder:
     def judged_ones(self) -> list[Path]:
         return sorted((self.path / "judged").glob("*.json"))
 
+    def refuse_links(self) -> None:
+        """A folder brought from elsewhere may have one: what is written there would go through it.
+
+        Raises: FormatError for a link under one of these names.
+        """
+        for path in sorted(self.path.glob("*")):
+            if path.is_symlink() and _OURS.fullmatch(path.name):
+                raise FormatError("a link in the folder of a run", where=str(path),
+                                  found=str(path.readlink()),
+                                  hint="put a copy of what it leads to in its place")  # fmt: skip
+
 
 def fitting_name(stem: str) -> str:
     """A name for a run on that file: `my data` -> `my-data`, `Übung 3` -> `Ubung-3`."""
@@ -114,7 +125,7 @@ def inspect(folder: RunFolder, identity: Identity, restart: bool) -> None:
     Args:
         restart: what an earlier run left may be another's, for it will go.
     Raises: TrainingError for a folder of another run or of no run at all, FormatError for one
-        whose config.json is damaged, StorageError where the disk would refuse.
+        whose config.json is damaged or that holds links, StorageError where the disk would refuse.
     """
     path = folder.path
     with disk(path):
@@ -128,6 +139,8 @@ def inspect(folder: RunFolder, identity: Identity, restart: bool) -> None:
             raise StorageError("no permission to write there", where=str(existing), hint=_ELSEWHERE)
         if existing != path:
             return
+        if not restart:  # which removes them
+            folder.refuse_links()
         if folder.config.exists():
             if not restart:
                 _compare(folder, identity)
@@ -232,6 +245,7 @@ def stored_settings(path: Path) -> TrainConfig:
         FormatError for one whose config.json is damaged.
     """
     folder = RunFolder(path)
+    folder.refuse_links()
     if not folder.config.exists():
         raise MissingFileError("no run here", where=str(path),
                                hint="`mpdt-train --data FILE` makes one")  # fmt: skip
@@ -257,6 +271,8 @@ def _clear(folder: RunFolder) -> None:
                 entry.unlink()
 
 
+_OURS = re.compile(r"(config|results|spent)\.json|metrics\.jsonl|report\.md|policy|judged"
+                   r"|(teacher|weights|checkpoint-.*)\.safetensors")  # fmt: skip
 _ELSEWHERE = "choose another --name or --runs-dir"
 # What a kill in the first moment leaves in a new folder; the first two are of older versions.
 _LEFTOVER = re.compile(r"run\.pid|config\.json\.tmp|\.config\.json\.[0-9a-f]{16}\.(tmp|lock)")

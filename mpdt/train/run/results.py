@@ -81,7 +81,8 @@ def results_header(
 
 
 def read_results(folder: Path) -> dict[str, Any]:
-    """results.json of a run's folder. Raises: as `read_results_file`."""
+    """results.json of a run's folder. Raises: as `read_results_file`, `RunFolder.refuse_links`."""
+    RunFolder(folder).refuse_links()
     return read_results_file(folder / "results.json")
 
 

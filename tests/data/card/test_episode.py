@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from mpdt.data.card.episode import episode_facts, episode_text, sparkline
 from mpdt.data.card.picture import clip_frames
 from mpdt.data.store.reader import open_dataset
-from mpdt.errors import UsageError
+from mpdt.errors import FormatError, UsageError
 
 
 @pytest.mark.parametrize(
@@ -62,3 +63,15 @@ def test_clips_run_in_real_time() -> None:
     assert clip_frames(500, 0.0125) == (251, 40.0)
     assert clip_frames(200, 0.05) == (201, 20.0)
     assert np.isclose(clip_frames(47, 0.05)[1], 20.0)
+
+
+def test_a_damaged_episode_is_not_shown(tiny_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "rot.h5"
+    with h5py.File(tiny_file) as file:
+        at = file["steps/rewards"].id.get_offset() + 4 * (8 * 5 + 2) + 2
+    content = bytearray(tiny_file.read_bytes())
+    content[at] ^= 4
+    path.write_bytes(content)
+    assert episode_facts(open_dataset(path), 7)["id"] == 7
+    with pytest.raises(FormatError, match="episode 8 does not have the bytes of its digest"):
+        episode_facts(open_dataset(path), 8)

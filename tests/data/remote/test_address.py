@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mpdt.data.remote.address import hidden, hide, last_name, revealed, without_secrets
+from mpdt.train.bundle.travel import cached_name
 
 
 @pytest.mark.parametrize(
@@ -67,3 +68,9 @@ def test_last_name() -> None:
     assert last_name("https://ann:s3cret@host") == ""
     assert last_name("sftp://host/data/") == ""
     assert last_name("data/x.h5") == last_name("x.h5") == "x.h5"
+
+
+def test_the_cache_is_named_after_no_secret() -> None:
+    urls = ("sftp://ann:s3cret@host", "https://h/p?k=s3cret", "https://h/p;k=s3cret", "s3://b/ml10")
+    names = [cached_name(url) for url in urls]
+    assert "s3cret" not in "".join(names) and names[3].startswith("ml10-")
