@@ -27,6 +27,7 @@ _KINDS = {
 MAX_NESTING = 50
 """Of JSON; ours is ten deep."""
 HEAD_BYTES = 512
+_ANOTHER = "take another copy of it"
 _UNPACK, _FETCH = "unpack it first", "fetch the file itself first"
 _HEADS: tuple[tuple[bytes, str, str], ...] = (
     (b"version https://git-lfs", "a git-lfs pointer", f"{_FETCH}: git lfs pull"),
@@ -139,9 +140,11 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         value = decode_json(content)
     except ValueError as error:
-        raise FormatError("not JSON", where=str(path), found=str(error)[:120]) from error
+        raise FormatError("not JSON", where=str(path), found=str(error)[:120],
+                          hint=_ANOTHER) from error  # fmt: skip
     if not isinstance(value, dict):
-        raise FormatError("not a JSON object", where=str(path), found=type(value).__name__)
+        raise FormatError("not a JSON object", where=str(path), found=type(value).__name__,
+                          hint=_ANOTHER)  # fmt: skip
     return value
 
 

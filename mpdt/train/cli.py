@@ -149,7 +149,8 @@ def _run(command: Run, rest: list[str]) -> int:
         beginning = Beginning.at(bundle_folder(revealed(command.begin)))
     config = parse_settings(command, rest, beginning)
     file = fitting_name(parse_ref(command.data)[0].stem)
-    folder = locate(command.runs_dir, command.name or f"{file}-{command.method or command.preset}")
+    usual = f"{file}-{command.method or command.preset}"
+    folder = locate(command.runs_dir, usual if command.name is None else command.name)
 
     def body(stop: StopRequest) -> int:
         results = run_pipeline(

@@ -67,6 +67,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         """Raises: FormatError for anything but a manifest, and for one that was edited."""
         try:
             said = decode_json(text)
+            if not isinstance(said, dict):
+                raise ValueError("no JSON object")
             hash = said.pop(_HASH, "")
             if hash and hash != _hash_of(said):
                 raise ValueError("its hash is that of another manifest")

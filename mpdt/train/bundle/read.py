@@ -19,6 +19,7 @@ from safetensors.torch import load
 
 from mpdt.data.spec.tasks import Family, get_family
 from mpdt.errors import BackboneError, FormatError, MissingFileError, MpdtError, UsageError
+from mpdt.reading import decode_json
 from mpdt.train.bundle.build import Bundle, built, table_of
 from mpdt.train.bundle.format import (
     CARD,
@@ -55,9 +56,12 @@ def read_config(folder: Path) -> BundleConfig:
                                hint="`mpdt-train bundle RUN -o DIR` writes one")  # fmt: skip
     content = _bytes(path, None)
     try:
-        plain = msgspec.json.decode(content, type=dict)
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        plain = decode_json(content)
+    except ValueError as error:
         raise FormatError("not JSON", where=str(path), found=str(error), hint=_ANOTHER) from error
+    if not isinstance(plain, dict):
+        raise FormatError("not a JSON object", where=str(path), found=type(plain).__name__,
+                          hint=_ANOTHER)  # fmt: skip
     if plain.get("format") != FORMAT:
         raise FormatError("a bundle of another version, or none", where=str(path),
                           expected=FORMAT, found=str(plain.get("format"))[:40],

@@ -43,6 +43,7 @@ from mpdt.train.run.config import TrainConfig, from_plain
 from mpdt.train.run.identity import Identity
 
 FORMAT = "mpdt-run/3"
+_MOST_LETTERS = 120  # most disks end at 255
 
 
 @dataclass(frozen=True)
@@ -108,14 +109,15 @@ class RunFolder:
 def fitting_name(stem: str) -> str:
     """A name for a run on that file: `my data` -> `my-data`, `Übung 3` -> `Ubung-3`."""
     plain = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode("ascii")
-    return re.sub(r"[^A-Za-z0-9_.+]+", "-", plain).strip("-_.+") or "run"
+    fitting = re.sub(r"[^A-Za-z0-9_.+]+", "-", plain)[: _MOST_LETTERS // 2].strip("-_.+")
+    return fitting or "run"
 
 
 def locate(runs_dir: Path, name: str) -> RunFolder:
     """The folder of that name; touches no disk. Raises: UsageError for a bad name."""
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", name):
+    if not re.fullmatch(rf"[A-Za-z0-9][A-Za-z0-9_.+-]{{0,{_MOST_LETTERS - 1}}}", name):
         raise UsageError(f"'{name}' cannot name a run", where="--name",
-                         expected="letters, digits, . _ + -")  # fmt: skip
+                         expected=f"1 to {_MOST_LETTERS} letters, digits, . _ + -")  # fmt: skip
     return RunFolder(runs_dir / name)
 
 
