@@ -118,6 +118,26 @@ def texts(found: dict[str, Any]) -> str:
     )
 
 
+def bundles(found: dict[str, Any]) -> str:
+    kinds = {
+        "bytes": "bits, lengths, missing files, files of another bundle, folders and links",
+        "facts": "config.json under a new seal: types, names, huge numbers, versions",
+        "tensors": "model.safetensors under new digests: names, shapes, types, headers",
+    }
+    rows = []
+    for kind, counts in found["outcomes"].items():
+        total, refused, acts = sum(counts.values()), counts.get("error", 0), counts.get("acts", 0)
+        rows.append([kinds.get(kind, kind), total, refused, acts, total - refused - acts])
+    return (
+        "\n## Bundles of policies\n\n"
+        f"`python benchmarks/trust/bundles.py`: {found['mutations']} changes of a bundle, each "
+        "loaded and asked for actions. error = one clear error, and nothing was loaded; acts = "
+        "what somebody may say who seals it anew, and the policy acts in finite numbers; else = "
+        "a traceback, damage that nobody noticed, NaN, over 20 s of processor time, or over "
+        "512 MB more.\n\n" + markdown_table(["changed", "bundles", "error", "acts", "else"], rows)
+    )
+
+
 def clusters(found: dict[str, Any]) -> str:
     rows = [
         [name, f"`{one['content'][:12]}`", one.get("killed_after_blocks", "-"), one["seconds"]]
@@ -187,6 +207,7 @@ def page(folder: Path) -> str:
         "limits": limits,
         "fuzz": fuzz,
         "texts": texts,
+        "bundles": bundles,
         "clusters": clusters,
         "mutants": mutants,
     }
