@@ -2,9 +2,11 @@
 
     make wheel                             its dependencies are borrowed from .venv: a minute
     python tools/wheel.py --full      everything is installed from the index: minutes, 1 GB
+    python tools/wheel.py --act RUN   and the bundle of that run acts there as it was judged
 
 What is tried: the files inside; in an empty folder `mpdt-data list`, `collect cheetah_dir --smoke`,
-`verify`, `import mpdt`, the help of `mpdt-train`. Prints one line per step; exit code 1 on failure.
+`verify`, `import mpdt`, a smoke run of `mpdt-train`. Its bundle, copied into another folder, has to
+earn what results.json says (`tools/act.py`). Prints one line per step; exit code 1 on failure.
 """
 
 from __future__ import annotations
@@ -26,12 +28,17 @@ INSIDE = (
     "mpdt/data/weights/cheetah_dir.safetensors", "mpdt/data/weights/cheetah_vel.safetensors",
     "mpdt/data/weights/ant_dir.safetensors", "mpdt/data/weights/cheetah_dir.json",
 )  # fmt: skip
-OUTSIDE = ("tests/", "benchmarks/", "docs/", "results/", "constraints.txt")
+OUTSIDE = ("tests/", "benchmarks/", "docs/", "results/", "policies/", "constraints.txt")
+TRAINING = (
+    "--data cheetah_dir-smoke.h5 --preset smoke --name tried --quiet --teacher.steps 2"
+    " --multitask.steps 4 --adapt.starts none --evaluation.no-constants"
+)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--full", action="store_true", help="install the dependencies too")
+    parser.add_argument("--act", metavar="RUN", type=Path, help="folder of a run with its bundle")
     options = parser.parse_args()
     wheel = build()
     look_inside(wheel)
@@ -39,6 +46,8 @@ def main() -> int:
         place = Path(folder)
         bin_folder = install(wheel, place / "venv", options.full)
         try_it(bin_folder, place)
+        for run_folder in filter(None, [place / "work/runs/tried", options.act]):
+            act_elsewhere(bin_folder, run_folder, place / "elsewhere" / run_folder.resolve().name)
     print(f"works  {wheel.relative_to(ROOT)}   {wheel.stat().st_size / 1e6:.1f} MB")
     return 0
 
@@ -96,12 +105,23 @@ def try_it(programs: Path, place: Path) -> None:
         ([data, "verify", "cheetah_dir-smoke.h5", "--replay", "1"], "12 passed"),
         ([data, "plan", "ml10"], "ml10 2"),  # rates and references of Meta-World
         ([programs / "mpdt-train", "--help"], "mpdt-train"),
+        ([programs / "mpdt-train", *TRAINING.split()], "MPDT"),
         ([programs / "python", "-m", "mpdt.data.cli", "--version"], "mpdt "),
     ]
     for command, expected in steps:
         found = run(command, work)
         assert expected in found, (command, found)
         print("ran    ", command[0].name, *command[1:])
+
+
+def act_elsewhere(programs: Path, run_folder: Path, far: Path) -> None:
+    """A bundle alone, in a folder where nothing else lies, acts as results.json says."""
+    shutil.copytree(run_folder / "policy", far / "policy")
+    shutil.copy(run_folder / "results.json", far)
+    shutil.copy(ROOT / "tools/act.py", far)
+    found = run([programs / "python", "act.py", "policy", "--results", "results.json"], far)
+    for line in found.splitlines():
+        print("acted  ", line)
 
 
 def run(command: list[object], folder: Path | None = None) -> str:
