@@ -99,6 +99,14 @@ class Backbone(nn.Module):
         add_low_rank(self.model, rank, alpha, seed)
         self.frozen = False
 
+    def drop_words(self) -> None:
+        """Free the embedding table: a policy whose input map has its rows looks no word up.
+
+        The module stays, empty: without one transformers refuses to say what it is (Llama).
+        """
+        nothing = torch.zeros(0, self.width)
+        self.model.set_input_embeddings(nn.Embedding.from_pretrained(nothing))
+
     def train(self, mode: bool = True) -> Backbone:
         """Stays in evaluation mode: the published dropout of a frozen model is only noise."""
         return super().train(False)

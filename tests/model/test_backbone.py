@@ -137,6 +137,17 @@ def test_unfrozen_weights_learn_but_not_the_word_table() -> None:
     assert "h.0.attn.c_attn.weight" in moving and "wte.weight" not in moving
 
 
+@pytest.mark.parametrize("name", ["random:tiny", "random:tiny-llama"])
+def test_blocks_go_on_without_their_words(name: str) -> None:
+    whole, bare = load_backbone(name), load_backbone(name)
+    bare.drop_words()
+    assert whole.word_embeddings.shape == (256, 64) and bare.word_embeddings.shape == (0, 64)
+    assert bare.fingerprint == whole.fingerprint
+    tokens, mask = numbers(1, 2, 3, 64), torch.ones(1, 2, 3, dtype=torch.bool)
+    prompts = numbers(1, 4, 64)
+    assert torch.equal(whole(prompts, tokens, mask)[0], bare(prompts, tokens, mask)[0])
+
+
 def test_prefix_serves_many_steps(backbone: Backbone) -> None:
     prefix = backbone.encode_prefix(numbers(2, 3, backbone.width)).select(torch.tensor([1, 0, 1]))
     tokens, mask = numbers(3, 2, backbone.width), torch.ones(3, 2, dtype=torch.bool)

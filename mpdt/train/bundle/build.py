@@ -90,7 +90,7 @@ def _backbone(config: BundleConfig, parts: Mapping[str, Tensor]) -> Backbone:
                 expected=f"weights {facts.fingerprint[:12]} {facts.revision}".strip(),
                 found=backbone.fingerprint[:12], hint="take a bundle that holds its blocks",
             )  # fmt: skip
-        backbone.model.set_input_embeddings(None)  # no words are looked up
+        backbone.drop_words()
     else:
         blocks = {name.split(".")[1] for name in parts if name.split(".")[0] in ("h", "layers")}
         if len(blocks) != facts.shape.num_hidden_layers:
