@@ -105,7 +105,7 @@ class Backbone(nn.Module):
         The module stays, empty: without one transformers refuses to say what it is (Llama).
         """
         nothing = torch.zeros(0, self.width)
-        self.model.set_input_embeddings(nn.Embedding.from_pretrained(nothing))
+        self.model.set_input_embeddings(nn.Embedding(0, self.width, _weight=nothing))
 
     def train(self, mode: bool = True) -> Backbone:
         """Stays in evaluation mode: the published dropout of a frozen model is only noise."""

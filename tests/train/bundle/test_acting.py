@@ -5,6 +5,7 @@ from __future__ import annotations
 import gymnasium
 import numpy as np
 import pytest
+import torch
 
 import mpdt
 import mpdt.envs
@@ -40,6 +41,21 @@ def test_rows_begin_when_they_like(bundle, policy):
     for row, task, first, last in episodes:
         expected = alone(bundle, task, row, first, last)
         assert np.array_equal([actions[row] for actions in found[first:last]], expected)
+
+
+def test_many_rows_act_the_same_on_any_number_of_threads(policy):
+    """Few act on one of them; many on what there is, which is no business of their numbers."""
+    before, found = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            policy.reset(40)
+            shown = np.tile(SEEN[:2], (1, 14, 1))[:, :40]
+            found.append([policy.act_batch(shown[0]), policy.act_batch(shown[1], np.ones(40))])
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    assert np.array_equal(*found)
 
 
 def test_other_returns_are_asked_of_a_task_and_of_an_episode(bundle, policy):
