@@ -10,6 +10,7 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -17,7 +18,7 @@ from typing import Protocol
 from mpdt.data.collect.job import Job
 from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.plan import Block
-from mpdt.data.collect.runner import BlockReport, BlockRunner
+from mpdt.data.collect.runner import BlockReport, BlockRunner, bundled
 from mpdt.data.store import provenance
 from mpdt.data.workers.processes import default_workers, map_blocks
 from mpdt.data.workers.ray import map_blocks_ray
@@ -50,7 +51,10 @@ class Processes:
         self, job: Job, folder: PartsFolder, blocks: Sequence[Block]
     ) -> Generator[BlockReport, None, None]:
         workers = default_workers() if self.workers is None else self.workers
-        return map_blocks(BlockRunner(job, folder), blocks, workers)
+        bundles = bundled(job.plan, blocks, workers)
+        with closing(map_blocks(BlockRunner(job, folder).together, bundles, workers)) as done:
+            for reports in done:
+                yield from reports
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ VERB = "rollout"
 NAME = "policy"
 """Of the quality."""
 SIDE_BY_SIDE = {"metaworld": 10, "locomotion": 25}
-"""Rows a policy answers at once; a simulator of Meta-World takes about 21 MiB."""
+"""Rows a policy answers at once; another number may give other last bits."""
 MOST_SERIES = 65_000
 
 

@@ -124,6 +124,28 @@ class Record:
         self.observations[:, index, list(self.hidden_columns)] = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class Acted:
+    """Episodes that one policy acts in, one per key.
+
+    Args:
+        policy: sees the goal; its hash goes into every episode.
+        keys: seed key of each row; its task is the episode's task.
+        quality, progress: stored with every episode.
+        clip: False for TTA sets, whose file keeps the drawn numbers and whose simulator
+            clips inside its own step.
+        goal_keys: what each row's goal is drawn from, where goals are shared by episodes;
+            default: its own key.
+    """
+
+    policy: Policy
+    keys: Sequence[SeedKey]
+    quality: int
+    progress: float
+    clip: bool = True
+    goal_keys: Sequence[SeedKey] | None = None
+
+
 def run_block(
     env: BatchEnv,
     policy: Policy,
@@ -137,63 +159,88 @@ def run_block(
     clip: bool = True,
     goal_keys: Sequence[SeedKey] | None = None,
 ) -> list[Episode]:
-    """Run one episode per key and return them in the order of the keys.
+    """Run one episode per key and return them in the order of the keys; see `run_blocks`."""
+    acted = Acted(policy, keys, quality, progress, clip, goal_keys)
+    (episodes,) = run_blocks(
+        env, [acted], horizon=horizon, hidden_columns=hidden_columns, width=width
+    )
+    return episodes
+
+
+def run_blocks(
+    env: BatchEnv,
+    blocks: Sequence[Acted],
+    *,
+    horizon: int,
+    hidden_columns: Sequence[int] = (),
+    width: int | None = None,
+) -> list[list[Episode]]:
+    """Run the episodes of some blocks side by side; no block knows of the others.
 
     Args:
         env: as many rows as there are keys.
-        policy: sees the goal; its hash goes into every episode.
-        keys: seed key of each row; its task is the episode's task.
         horizon: steps, at least 1; an episode that reaches it is truncated.
-        quality, progress: stored with every episode.
-        hidden_columns: observation columns stored as 0 (the policy still sees them).
-        width: rows the policy is evaluated at, padded with copies of the first one. A policy
+        hidden_columns: observation columns stored as 0 (the policies still see them).
+        width: rows a policy is evaluated at, padded with copies of its first one. A policy
             network gives other last bits at other batch widths, and contacts amplify that,
             so a short last block must use the width of the full ones. Rows of an env do not
             see each other, so padding never needs simulating.
-        clip: False for TTA sets, whose file keeps the drawn numbers and whose simulator
-            clips inside its own step.
-        goal_keys: what each row's goal is drawn from, where goals are shared by episodes;
-            default: its own key.
 
     A policy whose actions depend on nothing it sees is run natively where the env can.
 
-    Returns: len(keys) episodes of 1 to `horizon` steps.
+    Returns: by block, its episodes of 1 to `horizon` steps.
 
     Raises: DataError if the simulator returned a number that is not finite.
     """
+    keys = [key for block in blocks for key in block.keys]
     assert len(keys) == env.num_rows, "one key per row"
+    assert len({id(block.policy) for block in blocks}) == len(blocks), "a policy per block"
     assert horizon >= 1
-    padding = max(0, (width or 0) - len(keys))
-    goals = env.draw_goals(goal_keys or keys)
+    goals = env.draw_goals([key for block in blocks for key in block.goal_keys or block.keys])
     observations = env.reset(keys, goals)
-    extra = [keys[-1].at_row(keys[-1].row + 1 + row) for row in range(padding)]
-    policy.begin(Rows([*keys, *extra], [*goals, *goals[-1:] * padding], horizon))
+    ends = np.cumsum([len(block.keys) for block in blocks]).tolist()
+    parts = [slice(end - len(block.keys), end) for end, block in zip(ends, blocks, strict=True)]
+    for block, rows in zip(blocks, parts, strict=True):
+        padding, last = max(0, (width or 0) - len(block.keys)), block.keys[-1]
+        extra = [last.at_row(last.row + 1 + row) for row in range(padding)]
+        own = goals[rows]
+        block.policy.begin(Rows([*block.keys, *extra], [*own, *own[-1:] * padding], horizon))
     record = Record.of(observations, env.action_size, horizon, hidden_columns)
     low, high = env.low.astype(np.float32), env.high.astype(np.float32)
 
-    def stored(actions: npt.NDArray[np.floating[Any]]) -> Float32Array:
-        cast = actions[: len(keys)].astype(np.float32)
-        return np.clip(cast, low, high) if clip else cast
+    def stored(block: Acted, actions: npt.NDArray[np.floating[Any]]) -> Float32Array:
+        cast = actions[: len(block.keys)].astype(np.float32)
+        return np.clip(cast, low, high) if block.clip else cast
 
     def filled(rows: FloatArray) -> FloatArray:
+        padding = max(0, (width or 0) - len(rows))
         return np.concatenate([rows, np.repeat(rows[:1], padding, axis=0)])
 
-    if isinstance(policy, OpenLoopPolicy) and isinstance(env, PlaysAhead):
-        actions = stored(policy.all_actions())
+    only = blocks[0].policy
+    if len(blocks) == 1 and isinstance(only, OpenLoopPolicy) and isinstance(env, PlaysAhead):
+        actions = stored(blocks[0], only.all_actions())
         record.add_play(actions, env.play(actions))
     else:
 
         def choose(
             step: int, seen: FloatArray, rewards: FloatArray | None, running: BoolArray
         ) -> Float32Array:
-            paid = None if rewards is None else filled(rewards)
-            return stored(policy.act(step, filled(seen), paid))
+            chosen = []
+            for block, rows in zip(blocks, parts, strict=True):
+                paid = None if rewards is None else filled(rewards[rows])
+                chosen.append(stored(block, block.policy.act(step, filled(seen[rows]), paid)))
+            return np.concatenate(chosen)
 
         for rolled in roll_out(env, observations, choose, horizon):
             record.add(rolled)
     return [
-        record.episode(row, key, goals[row], policy.info.hash, quality, progress)
-        for row, key in enumerate(keys)
+        [
+            record.episode(
+                row, keys[row], goals[row], block.policy.info.hash, block.quality, block.progress
+            )
+            for row in range(rows.start, rows.stop)
+        ]
+        for block, rows in zip(blocks, parts, strict=True)
     ]
 
 

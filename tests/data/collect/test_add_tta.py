@@ -17,7 +17,7 @@ from mpdt.data.collect.add_tta import Added, add_set, set_job
 from mpdt.data.collect.collect import collect
 from mpdt.data.collect.job import make_job
 from mpdt.data.collect.runner import BlockRunner
-from mpdt.data.sim.play import run_block
+from mpdt.data.sim.play import Acted, run_blocks
 from mpdt.data.spec import entry
 from mpdt.data.spec.entry import DatasetSpec, TtaRule
 from mpdt.data.spec.goals import GoalSet
@@ -66,12 +66,13 @@ def test_goals_are_those_of_a_collection(
     """Of six goals two are held out: rows of a test set draw from goals 4 and 5 in turn."""
     asked: list[int] = []
 
-    def spy(*args: Any, **options: Any) -> Any:
-        if options["quality"] == 4:
-            asked.extend(key.row for key in options["goal_keys"])
-        return run_block(*args, **options)
+    def spy(env: Any, blocks: list[Acted], **options: Any) -> Any:
+        for block in blocks:
+            if block.quality == 4:
+                asked.extend(key.row for key in block.goal_keys or ())
+        return run_blocks(env, blocks, **options)
 
-    monkeypatch.setattr("mpdt.data.collect.runner.run_block", spy)
+    monkeypatch.setattr("mpdt.data.collect.runner.run_blocks", spy)
     monkeypatch.setattr(entry, "find_problems", lambda spec: [])  # the cheetah has no goal sets
     rule = msgspec.structs.replace(WIDE, tasks=tasks)
     spec = msgspec.structs.replace(tiny_spec, goals=GoalSet(count=6, held_out=2), tta={})
