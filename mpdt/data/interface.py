@@ -12,23 +12,25 @@ import msgspec
 from mpdt.data.collect.collect import collect as collect_job
 from mpdt.data.collect.job import make_job
 from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
+from mpdt.data.slices.several import open_files, open_ref
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.smoke import smoke as smoke_version
 from mpdt.data.store.dataset import Dataset
-from mpdt.data.store.reader import open_dataset, parse_ref
 
 _SETTINGS = SamplerSettings()
 
 
-def open(path: Path | str, preload: bool = False) -> Dataset:
-    """Open a finished file; see `Dataset`.
+def open(path: Path | str | Sequence[Path | str], preload: bool = False) -> Dataset:
+    """Open a finished file, or several of one family as if they were merged; see `Dataset`.
 
     Args:
+        path: a file, a folder, a pattern such as `parts/*.h5`, or a list of those.
         preload: copy the step arrays to RAM instead of mapping them.
-    Raises: MissingFileError, FormatError, StorageError.
+    Raises: MissingFileError, FormatError, StorageError; DataError for files that cannot be one,
+        as `merge` refuses them.
     """
-    return open_dataset(path, preload)
+    return open_files(path, preload)
 
 
 def collect(
@@ -72,7 +74,7 @@ def collect(
 
 
 def windows(
-    data: Dataset | Path | str,
+    data: Dataset | Path | str | Sequence[Path | str],
     *,
     window: int = _SETTINGS.window,
     per_task: int = _SETTINGS.per_task,
@@ -83,7 +85,7 @@ def windows(
     """Batches of windows as a function of (seed, step): `windows(...).batch(step)`.
 
     Args:
-        data: an open dataset, FILE or FILE:slice.
+        data: an open dataset, FILE or FILE:slice, where FILE is all that `open` takes.
         window, per_task: K and M of the batch's shapes (n tasks, M, K, ...).
         tasks: names or rows; none = the training tasks.
         quality: random, medium, expert, history, policy, or several; None = all.
@@ -91,8 +93,7 @@ def windows(
     """
     name: str | None = None
     if not isinstance(data, Dataset):
-        path, name = parse_ref(str(data))
-        data = open_dataset(path)
+        data, name = open_ref(data)
     rows = [data.task_row(task) for task in tasks] or data.tasks.train_rows
     ids = {row: data.select(task=row, quality=quality, slice=name) for row in rows}
     return WindowSampler(data, ids, rows, window, per_task, seed)

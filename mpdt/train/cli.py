@@ -3,6 +3,7 @@
     mpdt-train --data cheetah_dir.h5                     run (the default), preset base
     mpdt-train --data ml10.h5 --preset smoke --name try  seconds, to see that it works
     mpdt-train --data ml10.h5 --method Prompt-DT         a baseline or a variant
+    mpdt-train --data a.h5 b.h5                          several files as one
     mpdt-train --data ml10.h5 --adapt infer              our own zero-shot protocol
     mpdt-train --data ml10.h5 --inputs.return-to-go none --name no-rtg
     mpdt-train methods                                   all of them, and what each reads
@@ -24,6 +25,8 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from dataclasses import fields
+from itertools import takewhile
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -90,7 +93,7 @@ def _answer(verb: str, arguments: list[str]) -> int:
             raise unknown_name("command", verb, COMMANDS, where=PROG)
         command, rest = tyro.cli(
             COMMANDS[verb], prog=PROG if verb == "run" else f"{PROG} {verb.split()[0]}",
-            args=arguments, return_unknown_args=True,
+            args=_one_data(verb, arguments), return_unknown_args=True,
         )  # fmt: skip
         return execute(command, rest)
     except (MpdtError, OSError) as error:
@@ -99,6 +102,24 @@ def _answer(verb: str, arguments: list[str]) -> int:
             traceback.print_exc()
         sys.stderr.write(shown.render() + "\n")
         return shown.exit_code
+
+
+def _one_data(verb: str, arguments: list[str]) -> list[str]:
+    """The words behind `--data` as one that names all the files.
+
+    A command with a folder takes one word there unless its folder came first: it always did.
+    """
+    takes_folder = any(one.name == "folder" for one in fields(COMMANDS[verb]))
+    if "--data" not in arguments or (takes_folder and arguments[0].startswith("-")):
+        return arguments
+    at = arguments.index("--data") + 1
+    behind = takewhile(lambda word: not word.startswith("-"), arguments[at:])
+    words = list(behind)
+    if len(words) < 2:
+        return arguments
+    from mpdt.data.slices.several import one_ref
+
+    return [*arguments[:at], one_ref(words), *arguments[at + len(words) :]]
 
 
 def execute(command: Command, rest: list[str]) -> int:
@@ -133,8 +154,7 @@ def execute(command: Command, rest: list[str]) -> int:
 
 
 def _run(command: Run, rest: list[str]) -> int:
-    from mpdt.data.store.reader import parse_ref
-    from mpdt.train.run.folder import fitting_name, locate
+    from mpdt.train.run.folder import locate, name_of_data
     from mpdt.train.run.pipeline import run_pipeline
     from mpdt.train.run.prepare import prepare
     from mpdt.train.run.progress import Progress
@@ -148,8 +168,7 @@ def _run(command: Run, rest: list[str]) -> int:
 
         beginning = Beginning.at(bundle_folder(revealed(command.begin)))
     config = parse_settings(command, rest, beginning)
-    file = fitting_name(parse_ref(command.data)[0].stem)
-    usual = f"{file}-{command.method or command.preset}"
+    usual = f"{name_of_data(command.data)}-{command.method or command.preset}"
     folder = locate(command.runs_dir, usual if command.name is None else command.name)
 
     def body(stop: StopRequest) -> int:

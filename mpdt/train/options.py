@@ -26,7 +26,8 @@ class Run:
     """
 
     data: str
-    """FILE or FILE:slice, as written by mpdt-data collect or split."""
+    """FILE or FILE:slice, as written by mpdt-data collect or split. Several files, a folder or a
+    pattern ('parts/*.h5') are read as the one that merge would make of them."""
     preset: str = "base"
     """Settings to start from: smoke, demo, base, paper."""
     begin: Annotated[str | None, tyro.conf.arg(name="from")] = None

@@ -58,7 +58,7 @@ def card_page(
         facts=facts,
         counts=[_count(len(facts.tasks), "task"), _count(len(facts.ids), "episode"),
                 _count(facts.num_steps, "step")],
-        told=_told(facts), megabytes=data.path.stat().st_size / 1e6,
+        told=_told(facts), megabytes=data.num_bytes / 1e6,
         lock=state, lock_told=lock_told, report=report, summary=summary(findings),
         worst=_worst(findings),
         keys=[(quality, quality) for quality in facts.qualities],
@@ -73,7 +73,9 @@ def card_page(
         lengths=figures.lengths_chart(facts), length=int(lengths[0]),
         actions=figures.action_charts(facts), sampled=figures.ACTION_EPISODES,
         also=_also(data), made=_made(data),
-        typed=shlex.quote(data.path.name),
+        typed="; mpdt-data verify ".join(
+            shlex.quote(one.title) for one in data.parts or [data]
+        ),
         commands=commands(data, facts.slice, _whole_is_locked(data, lock)),
         provenance=_provenance(data), entry=_entry(data), version=__version__,
     )  # fmt: skip

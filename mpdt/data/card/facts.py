@@ -145,7 +145,7 @@ def commands(data: Dataset, slice: str | None, is_locked: bool) -> list[str]:
     found = [shlex.join(made) if origin is None else _comment(f"imported: {_words(origin)}")]
     source = f"{name}.h5"
     for place, step in enumerate(data.lineage):
-        target = data.path.name if place == len(data.lineage) - 1 else f"{name}-{place + 1}.h5"
+        target = data.title if place == len(data.lineage) - 1 else f"{name}-{place + 1}.h5"
         found.append(_repeated(step, source, target))
         source = target
     if slice is not None:

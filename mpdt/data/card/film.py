@@ -55,22 +55,22 @@ class Film:
     is_equal: bool
 
 
-def shoot(path: Path, ids: Sequence[int], num_frames: int | None = 6) -> list[Film]:
-    """Film episodes of a file.
+def shoot(file: Dataset | Path, ids: Sequence[int], num_frames: int | None = 6) -> list[Film]:
+    """Film episodes of a file, open or not.
 
     Args:
         num_frames: spread evenly from the first observation to the last; None = every step.
     Raises: DataError for episodes without a seed; UsageError for a family that cannot be
         simulated; SimulatorError if nothing here can draw, with what to install.
     """
-    data, refused = open_dataset(path), []
+    data, refused = file if isinstance(file, Dataset) else open_dataset(file), []
     get_family(data.family)  # before a process is started for it
     for way in ways_to_draw():
         try:
             with ProcessPoolExecutor(
                 1, mp_context=get_context("spawn"), initializer=_use, initargs=(way,)
             ) as pool:
-                return pool.submit(film_here, data.path, list(ids), num_frames).result()
+                return pool.submit(film_here, data, list(ids), num_frames).result()
         except MpdtError:
             raise
         except BrokenProcessPool:
@@ -94,9 +94,8 @@ def _use(way: str) -> None:
     os.environ["MUJOCO_GL"] = way
 
 
-def film_here(path: Path, ids: Sequence[int], num_frames: int | None) -> list[Film]:
+def film_here(data: Dataset, ids: Sequence[int], num_frames: int | None) -> list[Film]:
     """Film with the OpenGL of this very process."""
-    data = open_dataset(path)
     return [_film(data, episode_id, num_frames) for episode_id in ids]
 
 

@@ -15,10 +15,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mpdt.data.episode import Episode, PolicyInfo
 from mpdt.data.slices.cut import refuse_to_replace
 from mpdt.data.slices.merge_claims import imports, statements
 from mpdt.data.slices.merge_tta import merged_tta
+from mpdt.data.slices.places import Places, find_places
 from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.dataset import Dataset
@@ -26,11 +29,10 @@ from mpdt.data.store.inherit import header_of, lineage_step, task_rows
 from mpdt.data.store.licence import combined
 from mpdt.data.store.proof import proven
 from mpdt.data.store.sources import EpisodeSource, FileHeader
-from mpdt.data.store.tables import TaskRow
+from mpdt.data.store.tables import Int64, TaskRow
 from mpdt.data.store.writer import write_file
 from mpdt.disk import holding
-from mpdt.errors import DataError, UsageError, quoted
-from mpdt.seeding import UNKNOWN_SEED_KEY
+from mpdt.errors import DataError, UsageError
 
 SAME = ("family", "seed", "horizon", "block", "env", "goals", "behaviour")
 """Keys of the spec that decide what an episode at a place is."""
@@ -42,15 +44,6 @@ class Merged:
 
     dataset: Dataset
     num_repeated: int
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Where an episode belongs, and where it is. Sorted by the first four."""
-
-    key: tuple[int, int, int, int]
-    source: int
-    id: int
 
 
 def merge(sources: Sequence[Dataset], target: Path) -> Merged:
@@ -74,9 +67,8 @@ def merge(sources: Sequence[Dataset], target: Path) -> Merged:
 
 def _merge(sources: Sequence[Dataset], target: Path) -> Merged:
     for source in sources:
-        _check_kin(sources[0], source)
-    places, num_repeated = _places(sources)
-    header = _header(sources)
+        check_kin(sources[0], source)
+    places, header = find_places(sources), merged_header(sources)
 
     dataset = write_file(
         target,
@@ -85,10 +77,10 @@ def _merge(sources: Sequence[Dataset], target: Path) -> Merged:
         merged_tta(sources, [task.index for task in header.tasks]),
         standard_additions,
     )
-    return Merged(dataset, num_repeated)
+    return Merged(dataset, places.num_repeated)
 
 
-def _check_kin(first: Dataset, other: Dataset) -> None:
+def check_kin(first: Dataset, other: Dataset) -> None:
     """Can episodes of both stand in one file? Raises: DataError."""
     shapes = [d.content_header() | {"tasks": None} for d in (first, other)]
     keys = [{key: d.spec.get(key) for key in SAME} for d in (first, other)]
@@ -96,54 +88,25 @@ def _check_kin(first: Dataset, other: Dataset) -> None:
         raise DataError(
             f"not made for one file: {'; '.join(changes)}",
             where=f"{first.path} and {other.path}",
-            hint="train on several files instead, or collect one entry with all you need",
+            hint="collect one entry with all you need",
         )
 
 
-def _places(sources: Sequence[Dataset]) -> tuple[list[_Place], int]:
-    """All episodes in canonical order, each once, and how many were repeated."""
-    found: list[_Place] = []
-    for number, source in enumerate(sources):
-        table, indices = source.episodes, source.tasks.indices
-        columns = (table.task.tolist(), table.quality.tolist(), table.seed_key[:, 3:].tolist())
-        for i, (row, quality, (block, place)) in enumerate(zip(*columns, strict=True)):
-            found.append(_Place((indices[row], quality, block, place), number, i))
-    found.sort(key=lambda place: place.key)
-    kept: list[_Place] = []
-    here: dict[bytes, _Place] = {}  # digests at the current key
-    repeated = 0
-    for place in found:
-        if kept and kept[-1].key != place.key:
-            here.clear()
-        digest = sources[place.source].episodes.digest[place.id].tobytes()
-        if digest in here:
-            repeated += 1
-            continue
-        if here and place.key[2:] != UNKNOWN_SEED_KEY[3:]:
-            other = next(iter(here.values()))
-            raise DataError(
-                "two files hold different episodes of one place",
-                where=f"{sources[other.source].path}: episode {other.id}, "
-                f"{sources[place.source].path}: episode {place.id}",
-                found="task {}, quality {}, block {}, row {}".format(*place.key),
-                hint="see what differs: mpdt-data diff "
-                f"{quoted(sources[other.source].path)} {quoted(sources[place.source].path)}",
-            )
-        here[digest] = place
-        kept.append(place)
-    return kept, repeated
-
-
-def _episodes(sources: Sequence[Dataset], places: Sequence[_Place]) -> EpisodeSource:
+def _episodes(sources: Sequence[Dataset], places: Places) -> EpisodeSource:
     def read() -> Iterator[Episode]:
-        for place in places:
-            yield proven(sources[place.source], place.id)
+        for source, i in zip(places.source.tolist(), places.id.tolist(), strict=True):
+            yield proven(sources[source], i)
 
-    steps = sum(int(sources[p.source].episodes.length[p.id]) for p in places)
-    ids = [sources[p.source].episodes.source for p in places] if _parent(sources)[1] else []
-    source_ids = [int(of[p.id]) for of, p in zip(ids, places, strict=False) if of is not None]
-    complete = len(source_ids) == len(places)
-    return EpisodeSource(read(), len(places), steps, source_ids if complete else None)
+    steps = int(places.column([source.episodes.length for source in sources]).sum(dtype=np.int64))
+    ids = source_ids(sources, places)
+    return EpisodeSource(read(), len(places), steps, None if ids is None else ids.tolist())
+
+
+def source_ids(sources: Sequence[Dataset], places: Places) -> Int64 | None:
+    """Ids in the common parent; None unless all sources were cut out of one and say which."""
+    columns = [source.episodes.source for source in sources]
+    known = [column for column in columns if column is not None]
+    return places.column(known) if _parent(sources)[1] and len(known) == len(columns) else None
 
 
 def _parent(sources: Sequence[Dataset]) -> tuple[str, bool]:
@@ -154,14 +117,19 @@ def _parent(sources: Sequence[Dataset]) -> tuple[str, bool]:
     return sources[0].content_hash, False
 
 
-def _header(sources: Sequence[Dataset]) -> FileHeader:
+def merged_header(sources: Sequence[Dataset]) -> FileHeader:
+    """What a file of all their episodes says about itself.
+
+    Raises: DataError for one task of two names or roles.
+    """
     tasks: dict[int, TaskRow] = {}
     policies: dict[tuple[int, bytes], PolicyInfo] = {}
     for source in sources:
         for task in task_rows(source):
             known = tasks.setdefault(task.index, task)
-            if known.role != task.role:
-                raise DataError(f"task {task.name} is {known.role} and {task.role}",
+            if (known.name, known.role) != (task.name, task.role):
+                raise DataError(f"task {task.index} is {known.name} ({known.role}) and "
+                                f"{task.name} ({task.role})",
                                 where=f"{sources[0].path} and {source.path}")  # fmt: skip
             if not known.references.by_name:
                 tasks[task.index] = task

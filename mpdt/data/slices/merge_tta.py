@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from mpdt.data.episode import Episode
 from mpdt.data.store.dataset import Dataset
@@ -21,27 +22,8 @@ def merged_tta(sources: Sequence[Dataset], indices: Sequence[int]) -> dict[str, 
 
 
 def _merged(name: str, sources: Sequence[Dataset], indices: Sequence[int]) -> TtaSource:
-    having = [source for source in sources if name in source.tta]
-    for source in having[1:]:
-        rules = [dict(one.tta[name].rule) for one in (having[0], source)]
-        if rules[0] != rules[1]:
-            raise _contradiction(name, having[0], source, "rules", f"{rules[0]} and {rules[1]}")
-    best: dict[int, tuple[Dataset, int, bytes]] = {}
-    for source in having:
-        for row, index in enumerate(source.tasks.indices):
-            digests = source.tta[name].digest[source.tta[name].task == row].tobytes()
-            if not digests:
-                continue
-            if index in best:
-                other, _, known = best[index]
-                short, long = sorted((known, digests), key=len)
-                if not long.startswith(short):
-                    task = source.tasks.names[row]
-                    raise _contradiction(name, other, source, "episodes", f"task {task}")
-                if len(known) >= len(digests):
-                    continue
-            best[index] = (source, row, digests)
-    parts = [tta_of(best[index][0], name, [best[index][1]]) for index in indices if index in best]
+    rule, chosen = longest_sets(name, sources)
+    parts = [tta_of(sources[number], name, [row]) for number, row in in_order(chosen, indices)]
 
     def episodes() -> Iterator[Episode]:
         for part in parts:
@@ -52,8 +34,46 @@ def _merged(name: str, sources: Sequence[Dataset], indices: Sequence[int]) -> Tt
         sum(part.num_episodes for part in parts),
         sum(part.num_steps for part in parts),
         {index: value for part in parts for index, value in part.preset_returns.items()},
-        having[0].tta[name].rule,
+        rule,
     )
+
+
+def longest_sets(
+    name: str, sources: Sequence[Dataset]
+) -> tuple[Mapping[str, Any], dict[int, tuple[int, int]]]:
+    """The rule of the sets of that name, and by task index whose are taken: number of the source
+    and row of the task there.
+
+    Raises: DataError where their rules or the episodes of a task contradict each other.
+    """
+    having = [(number, source) for number, source in enumerate(sources) if name in source.tta]
+    first = having[0][1]
+    best: dict[int, tuple[int, int]] = {}
+    known: dict[int, bytes] = {}
+    for number, source in having:
+        rules = [dict(one.tta[name].rule) for one in (first, source)]
+        if rules[0] != rules[1]:
+            raise _contradiction(name, first, source, "rules", f"{rules[0]} and {rules[1]}")
+        for row, index in enumerate(source.tasks.indices):
+            digests = source.tta[name].digest[source.tta[name].task == row].tobytes()
+            if not digests:
+                continue
+            if index in best:
+                short, long = sorted((known[index], digests), key=len)
+                if not long.startswith(short):
+                    task, other = source.tasks.names[row], sources[best[index][0]]
+                    raise _contradiction(name, other, source, "episodes", f"task {task}")
+                if len(known[index]) >= len(digests):
+                    continue
+            best[index], known[index] = (number, row), digests
+    return first.tta[name].rule, best
+
+
+def in_order(
+    chosen: Mapping[int, tuple[int, int]], indices: Sequence[int]
+) -> list[tuple[int, int]]:
+    """Of `longest_sets`, in the order of the tasks of the new file."""
+    return [chosen[index] for index in indices if index in chosen]
 
 
 def _contradiction(name: str, one: Dataset, two: Dataset, what: str, found: str) -> DataError:

@@ -6,17 +6,19 @@ as many as fit the budget (one column of 5 million rows is 40 MB in float64).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.data.store.dataset import Dataset
-from mpdt.data.store.layout import STATS
+from mpdt.data.store.layout import STATS, STATS_FIELDS
 from mpdt.data.store.tables import Float64, Int64, Stats
 from mpdt.errors import DataError
 
+_Value = TypeVar("_Value")
 _QUANTILES = {name: int(name[1:]) / 100 for name in STATS if name.startswith("q")}
 
 
@@ -46,8 +48,8 @@ def compute_stats(dataset: Dataset, slice: str = "", budget_bytes: int = 1 << 28
     fields = {
         "observations": _table(steps.observations, observation_rows, budget_bytes),
         "actions": _table(steps.actions, step_rows, budget_bytes),
-        "rewards": _table(steps.rewards[:, None], step_rows, budget_bytes),
-        "returns": _table(episodes.returns[ids][:, None], [(0, len(ids))], budget_bytes),
+        "rewards": _table(steps.rewards, step_rows, budget_bytes),
+        "returns": _table(episodes.returns[ids], [(0, len(ids))], budget_bytes),
     }
     return Stats(
         fields=fields,
@@ -58,6 +60,42 @@ def compute_stats(dataset: Dataset, slice: str = "", budget_bytes: int = 1 << 28
             for name, table in fields.items()
         },
     )
+
+
+def later_stats(dataset: Dataset) -> Stats | None:
+    """`compute_stats` of the whole file once somebody looks: its steps are all read for it.
+
+    None where no training task has episodes.
+    """
+    seen = np.intersect1d(dataset.episodes.task, dataset.tasks.train_rows)
+    if not len(seen):
+        return None
+    found = cache(partial(compute_stats, dataset))
+    return Stats(
+        fields=_Later(lambda: found().fields),
+        slice="",
+        tasks_seen=tuple(seen.tolist()),
+        constant=_Later(lambda: found().constant),
+    )
+
+
+class _Later(Mapping[str, _Value]):
+    """What is known of each field of the steps, made when it is first asked for."""
+
+    def __init__(self, make: Callable[[], Mapping[str, _Value]]) -> None:
+        self._make = make
+
+    def __getitem__(self, name: str) -> _Value:
+        return self._make()[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in STATS_FIELDS
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(STATS_FIELDS)
+
+    def __len__(self) -> int:
+        return len(STATS_FIELDS)
 
 
 def _runs(starts: Int64, lengths: Int64) -> list[tuple[int, int]]:
@@ -75,10 +113,10 @@ def _table(
     array: NDArray[Any], runs: list[tuple[int, int]], budget_bytes: int
 ) -> dict[str, Float64]:
     count = sum(stop - start for start, stop in runs)
-    width = array.shape[1]
+    width = 1 if array.ndim == 1 else array.shape[1]
     table = {name: np.empty(width) for name in STATS}
     table["count"][:] = count
-    for first, block in _column_blocks(array, runs, count, budget_bytes):
+    for first, block in _column_blocks(array, width, runs, count, budget_bytes):
         columns = np.s_[first : first + len(block)]
         # A row of `block` is one column of the data, contiguous: numpy sums it pairwise, so
         # the result does not depend on how many columns are held at a time.
@@ -99,16 +137,17 @@ def _table(
 
 
 def _column_blocks(
-    array: NDArray[Any], runs: list[tuple[int, int]], count: int, budget_bytes: int
+    array: NDArray[Any], width: int, runs: list[tuple[int, int]], count: int, budget_bytes: int
 ) -> Iterator[tuple[int, Float64]]:
     """(first column, (columns, rows) float64), the rows of all runs one after another."""
     # Three times: np.quantile partitions a copy, and the caller holds the block meanwhile.
     held = max(1, budget_bytes // (3 * 8 * count))
-    for first in range(0, array.shape[1], held):
-        last = min(first + held, array.shape[1])
+    for first in range(0, width, held):
+        last = min(first + held, width)
         block = np.empty((last - first, count))
         row = 0
         for start, stop in runs:
-            block[:, row : row + stop - start] = array[start:stop, first:last].T
+            key = slice(start, stop), *([slice(first, last)] if array.ndim > 1 else [])
+            block[:, row : row + stop - start] = array[key].T
             row += stop - start
         yield first, block

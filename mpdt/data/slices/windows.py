@@ -146,7 +146,7 @@ class RewardReturns:
     def __init__(self, source: WindowSource, rewards: NDArray[Any]) -> None:
         self._start = np.asarray(source.episodes.start, np.int64)
         self._length = np.asarray(source.episodes.length, np.int64)
-        self._rewards = np.asarray(rewards)
+        self._rewards = plain(rewards)
         places = -(-self._length // SUM_EVERY)
         self._place = np.cumsum(places) - places
         self._sums = np.zeros(int(places.sum()))
@@ -218,9 +218,14 @@ def cover(lengths: NDArray[Any], episodes: Ids, window: int) -> tuple[Ids, Ids]:
     return ids, (np.arange(len(ids)) - first) * window
 
 
+def plain(values: NDArray[Any]) -> NDArray[Any]:
+    """Without the class of a map, whose every piece is made and checked as one more map. Rows of
+    several files stay what they are: as a plain array they would be a copy of them all."""
+    return np.asarray(values) if isinstance(values, np.ndarray) else values
+
+
 def _rows(values: NDArray[Any], rows: Ids, mask: NDArray[np.bool_]) -> Floats:
     """A copy of the rows, zeros where the mask is False."""
-    # `take` of a plain array: indexing a memmap makes and checks one more subclass.
-    kept = np.asarray(values).take(rows, axis=0)
+    kept = plain(values).take(rows, axis=0)
     kept[~mask] = 0
     return np.asarray(kept, dtype=np.float32)

@@ -72,6 +72,27 @@ class Dataset:
     seal: str = field(default="", repr=False)
     """Of all that the content hash does not cover."""
 
+    parts: Sequence[Dataset] = field(default=(), repr=False)
+    """The files that are read as this one, see `slices/join.py`; none where it is a file itself."""
+
+    @property
+    def title(self) -> str:
+        """Name of the file without its folder, or of each."""
+        return ",".join(part.title for part in self.parts) or self.path.name
+
+    @property
+    def num_bytes(self) -> int:
+        """On the disk."""
+        return sum(part.num_bytes for part in self.parts) or self.path.stat().st_size
+
+    def in_files(self, ids: Int64) -> list[tuple[Dataset, Int64]]:
+        """Where these episodes are: each file that holds some, and their ids there, ascending."""
+        return [(self, ids)]
+
+    def tta_in_files(self, name: str) -> list[tuple[Dataset, Int64]]:
+        """Where the episodes of a TTA set are: a file and ids of its set of that name, in order."""
+        return [(self, np.arange(len(self.tta[name])))]
+
     @property
     def stats(self) -> Mapping[str, Mapping[str, Float64]]:
         return self.stats_info.fields if self.stats_info else {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from mpdt.data.store import layout
 from mpdt.data.store.origin import damaged_hint, missing_hint
 from mpdt.data.store.tree import Tree
 from mpdt.disk import Seen
-from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError
+from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError, UsageError
 from mpdt.reading import HEAD_BYTES, open_plain, told_by
 
 
@@ -50,6 +50,24 @@ class Source:
         """For who reads by path as well. Raises: StorageError if another file is there now."""
         if Seen.at(self.path.resolve()) != self.seen:
             raise _replaced(self.path)
+
+
+class Sources(Source):
+    """Several files that are read as one."""
+
+    def __init__(self, sources: Sequence[Source]) -> None:
+        self._sources = tuple(sources)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Sources, (self._sources,)
+
+    def open(self) -> BinaryIO:
+        raise UsageError("several files have no bytes as one",
+                         hint="merge them: mpdt-data merge -h")  # fmt: skip
+
+    def expect_there(self) -> None:
+        for source in self._sources:
+            source.expect_there()
 
 
 def _open_again(path: Path, seen: Seen) -> Source:

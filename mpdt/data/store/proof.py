@@ -184,10 +184,10 @@ class BackgroundProof:
 
     def _look(self) -> None:
         try:
-            for name, wrong in differing(
-                self._dataset, self._sets, self._ids, self._stopped.is_set
-            ):
-                raise _damaged(self._dataset, wrong, name)
+            for part, ids in self._dataset.in_files(self._ids):
+                sets = [name for name in self._sets if name in part.tta]
+                for name, wrong in differing(part, sets, ids, self._stopped.is_set):
+                    raise _damaged(part, wrong, name)
         except MpdtError as error:
             self._error = error
         except (OSError, ValueError) as error:  # a map of a file that became shorter ends us

@@ -87,6 +87,8 @@ def open_tta_rewards(
         checked: False for `verify`, as in `read_file`.
     Raises: as `open_dataset`; UsageError for an unknown set.
     """
+    if isinstance(data, Dataset) and data.parts:
+        return _joined_rewards(data, name, checked)
     source = data.source if isinstance(data, Dataset) else None
     path = data.path if isinstance(data, Dataset) else Path(data)
     with opened(path, source=source) as file:
@@ -99,6 +101,23 @@ def open_tta_rewards(
         found = tree.columns(group, layout.TTA_SIMULATOR, sizes)
         successes = found["sim_successes"].values if "sim_successes" in found else None
         return found["sim_rewards"].values, successes
+
+
+def _joined_rewards(
+    data: Dataset, name: str, checked: bool
+) -> tuple[tables.Float32, tables.Bool | None]:
+    if name not in data.tta:
+        raise unknown_name("TTA set", name, data.tta, where=str(data.path))
+    rewards: list[tables.Float32] = []
+    successes: list[tables.Bool] = []
+    for part, ids in data.tta_in_files(name):
+        table, (paid, reached) = part.tta[name], open_tta_rewards(part, name, checked)
+        for start, length in zip(table.start[ids], table.length[ids], strict=True):
+            rows = slice(int(start), int(start) + int(length))
+            rewards.append(paid[rows])
+            successes += [] if reached is None else [reached[rows]]
+    empty = np.empty(0, np.float32)
+    return np.concatenate([empty, *rewards]), np.concatenate(successes) if successes else None
 
 
 def read_file(

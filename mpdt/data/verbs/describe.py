@@ -34,7 +34,7 @@ def describe(data: Dataset, ids: Int64 | None = None) -> dict[str, Any]:
         "license": data.license,
         "episodes": len(ids),
         "steps": int(data.episodes.length[ids].sum()),
-        "bytes": data.path.stat().st_size,
+        "bytes": data.num_bytes,
         "observation_size": data.observation_size,
         "action_size": data.action_size,
         "packages": dict(data.packages),
@@ -42,6 +42,16 @@ def describe(data: Dataset, ids: Int64 | None = None) -> dict[str, Any]:
         "tasks": [_task(data, row, ids) for row in range(len(data.tasks))],
         "slices": {name: len(found) for name, found in data.slices.items()},
         "tta": {name: len(tta) for name, tta in data.tta.items()},
+    } | ({"files": [_file(part) for part in data.parts]} if data.parts else {})
+
+
+def _file(data: Dataset) -> dict[str, Any]:
+    return {
+        "path": str(data.path),
+        "name": data.name,
+        "version": data.version,
+        "content_hash": data.content_hash,
+        "episodes": data.num_episodes,
     }
 
 
@@ -163,6 +173,11 @@ def header_lines(found: Mapping[str, Any]) -> list[str]:
         f"{found['path']}   {found['name']} {found['version']}   family {found['family']}   "
         f"{found['bytes'] / 1e6:.1f} MB   {found['license']}",
         f"content  {found['content_hash']}{origin}",
+        *(
+            f"file     {file['path']}   {file['name']} {file['version']}   content "
+            f"{file['content_hash'][:8]}   {file['episodes']:,} episodes"
+            for file in found.get("files", ())
+        ),
         *(f"lineage  {_step_text(step)}" for step in found["lineage"]),
         f"size     {found['episodes']:,} episodes   {found['steps']:,} steps   "
         f"observation {found['observation_size']}   action {found['action_size']}",

@@ -103,10 +103,11 @@ class Show(Options):
       mpdt-data show cheetah_dir.h5
       mpdt-data show ml10.h5:expert --tasks reach,push --episodes 5
       mpdt-data show ml10.h5 --schema
+      mpdt-data show 'parts/*.h5'
     """
 
     file: Annotated[Positional[str], arg(metavar="FILE[:SLICE]")]
-    """File, or one slice of it."""
+    """File, or one slice of it; a folder, a pattern or A.h5,B.h5: several files as one."""
     tasks: Names = ()
     """Only these tasks."""
     episodes: Annotated[int, arg(metavar="N")] = 0
@@ -117,7 +118,7 @@ class Show(Options):
     def run(self) -> None:
         import numpy as np
 
-        from mpdt.data.store.reader import open_dataset, parse_ref
+        from mpdt.data.slices.several import open_ref
         from mpdt.data.verbs.describe import (
             describe,
             describe_episode,
@@ -127,8 +128,7 @@ class Show(Options):
             schema,
         )
 
-        path, slice_name = parse_ref(self.file)
-        data = open_dataset(path)
+        data, slice_name = open_ref(self.file)
         names = split_names(self.tasks) or None
         ids = data.select(task=names, slice=slice_name)
         if self.schema:

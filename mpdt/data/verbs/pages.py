@@ -28,10 +28,12 @@ class Report(Options):
       mpdt-data report cheetah_dir.h5
       mpdt-data report ml10.h5 --film all -o ml10-card.html
       mpdt-data report ml45.h5:train --film none --no-verify
+      mpdt-data report 'parts/*.h5'
     """
 
     file: Annotated[Positional[str], arg(metavar="FILE[:SLICE]")]
-    """File, or one slice of it; put it before --film."""
+    """File, or one slice of it; a folder, a pattern or A.h5,B.h5: several files as one. Put it
+    before --film."""
     output: Annotated[Path | None, arg(aliases=["-o"], metavar="HTML")] = None
     """Page to write; default FILE with .html at its end."""
     film: Names = ()
@@ -48,26 +50,29 @@ class Report(Options):
         from mpdt.data.card.card import card_page
         from mpdt.data.card.facts import Facts
         from mpdt.data.lock.file import lock_path, read_lock
+        from mpdt.data.slices.several import open_ref
         from mpdt.data.spec.catalog import load_catalog
-        from mpdt.data.store.reader import open_dataset, parse_ref
-        from mpdt.data.verify.verify import verify
+        from mpdt.data.store.reader import parse_ref
+        from mpdt.data.verify.verify import verify_all
         from mpdt.disk import check_replaceable, holding
         from mpdt.draw.html import write_page
         from mpdt.errors import UsageError
 
-        path, slice_name = parse_ref(self.file)
-        if path.is_dir():
-            raise UsageError("a folder, not a data file", where=str(path),
+        path, _ = parse_ref(self.file)
+        if path.is_dir() and not any(path.glob("*.h5")):
+            raise UsageError("a folder without data files", where=str(path),
                              hint="mpdt-train report is for runs and studies")  # fmt: skip
-        data = open_dataset(path)
+        data, slice_name = open_ref(self.file)
         facts = Facts.of(data, slice_name)
         part = f"-{slice_name}" if slice_name else ""
-        target = self.output or path.with_name(f"{path.stem}{part}.html")
+        paths = [one.path for one in data.parts] or [data.path]
+        more = f"-and-{len(paths) - 1}-more" if data.parts else ""
+        target = self.output or paths[0].with_name(f"{paths[0].stem}{more}{part}.html")
         with holding(target):
             check_replaceable(target)
             locked = read_lock(lock_path(load_catalog(self.spec).path)).get(data.name)
             chosen = self._chosen(facts)
-            report = None if self.no_verify else verify(path, replay=self.replay, say=self.say)
+            report = None if self.no_verify else verify_all(paths, replay=self.replay, say=self.say)
             films, missing = self._films(facts, chosen)
             data.source.expect_there()  # or the checks and films are of another file
             text = card_page(facts, locked, report, films, missing)
@@ -106,7 +111,7 @@ class Report(Options):
             return [], "not asked for; mpdt-data report --film all draws an episode of every task."
         self.say(f"film     {len(ids)} episodes")
         try:
-            return shoot(facts.data.path, ids), ""
+            return shoot(facts.data, ids), ""
         except MpdtError as error:
             self.say(f"no pictures: {error.message()}")
             hint = f" To get them: {error.hint}" if error.hint else ""

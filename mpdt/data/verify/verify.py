@@ -9,7 +9,7 @@ what is in the file.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -101,6 +101,21 @@ def verify(
         elif id in wanted and failed is not None:
             shown.append(Finding(id, Outcome.SKIP, f"builds on {failed.id}"))
     return Report(path, material.dataset.content_hash if material else "", shown)
+
+
+def verify_all(
+    paths: Sequence[Path], *, replay: str = "2%", say: Callable[[str], None] = lambda line: None
+) -> Report:
+    """`verify` of each file; of several each finding begins with the name of its file."""
+    reports = [verify(path, replay=replay, say=say) for path in paths]
+    if len(reports) == 1:
+        return reports[0]
+    findings = [
+        replace(finding, text=f"{report.path.name}: {finding.text}")
+        for report in reports
+        for finding in report.findings
+    ]
+    return Report(paths[0], "", findings)
 
 
 def _open(path: Path) -> tuple[Material | None, list[Finding]]:

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
+from mpdt.data.slices.several import open_ref
 from mpdt.data.slices.windows import RewardReturns, WindowBatch, gather_windows
 from mpdt.data.spec.goals import GoalSet
 from mpdt.data.spec.tasks import Family, Task, get_family
+from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.origin import again_hint
-from mpdt.data.store.reader import Dataset, open_dataset, parse_ref
 from mpdt.errors import DataError, unknown_name
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import SeedKey, generator_at
@@ -124,8 +125,8 @@ def load_material(ref: str, quality: str) -> Material:
     known = [*QUALITY_CODES, ALL, AUTO]
     if quality not in known:
         raise unknown_name("quality", quality, known, where="--quality")
-    path, slice_name = parse_ref(ref)
-    dataset = open_dataset(path)
+    dataset, slice_name = open_ref(ref)
+    path = dataset.path
     if slice_name is not None and slice_name not in dataset.slices:
         raise unknown_name("slice", slice_name, dataset.slices, where=str(path))
     train_rows = tuple(dataset.tasks.train_rows)

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.ttaset import find_tta_set
 from mpdt.train.fit.data import Material
 from mpdt.train.run.config import TrainConfig, from_plain, to_plain
@@ -70,6 +71,15 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
     return settings
 
 
+def files_of(dataset: Dataset) -> dict[str, Any]:
+    """Under `files`, each of several files that were read as one; nothing for a single file."""
+    files = [
+        {"name": part.name, "version": part.version, "content_hash": part.content_hash}
+        for part in dataset.parts
+    ]
+    return {"files": files} if files else {}
+
+
 def _trained_on(material: Material) -> dict[str, Any]:
     dataset, stats = material.dataset, material.dataset.stats["observations"]
     return {
@@ -78,6 +88,7 @@ def _trained_on(material: Material) -> dict[str, Any]:
         "slice": material.slice,
         "episodes": _hash_arrays(material.episode_ids[row] for row in material.train_rows),
         "statistics": _hash_arrays([stats["mean"], stats["std"]]),
+        **files_of(dataset),
     }
 
 

@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 
 from mpdt.data.sim.actors import Actions, Observations, Rewards, Rows
+from mpdt.data.slices.several import open_ref
 from mpdt.data.spec.tasks import get_family
-from mpdt.data.store.reader import open_dataset, parse_ref
 from mpdt.errors import DataError, UsageError, quoted
 from mpdt.train.bundle.acting import ActingPolicy
 from mpdt.train.bundle.build import Bundle
@@ -67,7 +67,7 @@ def judge_outside(
     header = {
         "name": name,
         **told,
-        "data": {"file": dataset.path.name, "name": dataset.name, "version": dataset.version,
+        "data": {"file": dataset.title, "name": dataset.name, "version": dataset.version,
                  "content_hash": dataset.content_hash, "horizon": bench.horizon},
         "evaluation": msgspec.to_builtins(settings),
     }  # fmt: skip
@@ -259,11 +259,10 @@ def _material(ref: str) -> Material:
 
     Raises: as `open_dataset`; UsageError for a slice or an unknown family.
     """
-    path, slice_name = parse_ref(ref)
+    dataset, slice_name = open_ref(ref)
     if slice_name is not None:
         raise UsageError("a slice chooses episodes, and none is read here", where=ref,
-                         hint=f"--data {quoted(path)}")  # fmt: skip
-    dataset = open_dataset(path)
+                         hint=f"--data {quoted(dataset.path)}")  # fmt: skip
     return Material(
         dataset=dataset, slice=None, quality=ALL, family=get_family(dataset.family),
         train_rows=tuple(dataset.tasks.train_rows), test_rows=tuple(dataset.tasks.test_rows),

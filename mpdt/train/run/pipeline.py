@@ -206,7 +206,7 @@ def _describe(material: Material) -> str:
     episodes = sum(len(ids) for ids in material.episode_ids.values())
     part = f":{material.slice}" if material.slice else ""
     return (
-        f"{dataset.path.name}{part} ({dataset.name} {dataset.version}), content "
+        f"{dataset.title}{part} ({dataset.name} {dataset.version}), content "
         f"{dataset.content_hash}, {material.quality}: {episodes} episodes of "
         f"{len(material.train_rows)} training tasks, {len(material.test_rows)} test tasks"
     )

@@ -19,6 +19,7 @@ from mpdt.train.evaluate.sealed import FORMAT, check_digest
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder
+from mpdt.train.run.identity import files_of
 from mpdt.train.run.prepare import Prepared
 
 _AGAIN = "move it away; the same mpdt-train command judges the run again"
@@ -54,13 +55,14 @@ def results_header(
         "format": FORMAT,
         "name": name,
         "data": {
-            "file": dataset.path.name,
+            "file": dataset.title,
             "name": dataset.name,
             "version": dataset.version,
             "content_hash": dataset.content_hash,
             "slice": material.slice,
             "quality": material.quality,
             "horizon": config.evaluation.horizon or material.horizon,
+            **files_of(dataset),
         },
         "backbone": {
             "name": backbone.name,

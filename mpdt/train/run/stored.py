@@ -163,10 +163,15 @@ def _data_of(folder: RunFolder, data: Path | str | None) -> str:
     else:
         file = str(read_results(folder.path).get("data", {}).get("file"))
         places = (Path(), folder.path.parent, folder.path.parent.parent)
-        found = [place / file for place in places if (place / file).is_file()]
+        files = file.split(",") if not any((place / file).is_file() for place in places) else [file]
+        found = [
+            ",".join(str(place / file) for file in files)
+            for place in places
+            if all((place / file).is_file() for file in files)
+        ]
         if not found:
             raise MissingFileError("the file of this run is not here", where=file,
                                    hint="say where: load_policy(..., data=FILE)")  # fmt: skip
-        path = found[0]
+        path = Path(found[0])
     name = name or stored_slice(folder)
     return f"{path}:{name}" if name else str(path)

@@ -87,6 +87,24 @@ def test_a_slice_gets_a_page_of_its_own_name(tiny_file: Path, capsys: Capture) -
     assert "slice expert" in Path("tiny-expert.html").read_text()
 
 
+def test_several_files_are_shown_and_reported_as_one(tiny_file: Path, capsys: Capture) -> None:
+    Path("parts").mkdir()
+    for name in ("expert", "random"):
+        assert main(["split", "tiny.h5", "--quality", name, "-o", f"parts/{name}.h5"]) == 0
+    capsys.readouterr()
+    assert main(["show", "parts/*.h5", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert [file["path"] for file in shown["files"]] == ["parts/expert.h5", "parts/random.h5"]
+    assert shown["episodes"] == 16 and set(shown["slices"]) >= {"expert", "random"}
+    assert main(["show", "parts/expert.h5,parts/random.h5:expert"]) == 0
+    text = capsys.readouterr().out
+    assert "8 episodes" in text and "file     parts/random.h5   tiny 1.0.0   content" in text
+    assert main(["report", "parts", "--film", "none", "-q"]) == 0
+    page = Path("parts/expert-and-1-more.html").read_text()
+    assert page.count("expert.h5: ") == page.count("random.h5: ") == 12
+    assert "mpdt-data verify expert.h5; mpdt-data verify random.h5" in page
+
+
 def test_view(tiny_file: Path, capsys: Capture) -> None:
     assert main(["view", "tiny.h5", "-e", "8"]) == 0
     out = capsys.readouterr().out
