@@ -102,8 +102,7 @@ class Show(Options):
     Examples:
       mpdt-data show cheetah_dir.h5
       mpdt-data show ml10.h5:expert --tasks reach,push --episodes 5
-      mpdt-data show ml10.h5 --schema
-      mpdt-data show 'parts/*.h5'
+      mpdt-data show 'parts/*.h5' --tasks reach
     """
 
     file: Annotated[Positional[str], arg(metavar="FILE[:SLICE]")]

@@ -27,8 +27,7 @@ class Report(Options):
     Examples:
       mpdt-data report cheetah_dir.h5
       mpdt-data report ml10.h5 --film all -o ml10-card.html
-      mpdt-data report ml45.h5:train --film none --no-verify
-      mpdt-data report 'parts/*.h5'
+      mpdt-data report 'parts/*.h5' --film none --no-verify
     """
 
     file: Annotated[Positional[str], arg(metavar="FILE[:SLICE]")]
