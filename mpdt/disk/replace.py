@@ -18,11 +18,12 @@ from mpdt.disk.hold import Seen, holding, written_meanwhile
 from mpdt.disk.refusal import disk
 from mpdt.errors import StorageError
 
+_HEAD_BYTES = 64
 _NO_LINKS = {errno.EPERM, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EMLINK}
 
 
 @contextmanager
-def replacing(target: Path, *, amends: bool = False) -> Iterator[Path]:
+def replacing(target: Path, *, amends: bool = False, like: bytes = b"") -> Iterator[Path]:
     """Yield an empty file beside `target`; on a clean exit it is on the disk and takes its place.
 
     A link stays a link, the file it leads to is replaced; mode and group stay. On any exception
@@ -31,11 +32,13 @@ def replacing(target: Path, *, amends: bool = False) -> Iterator[Path]:
 
     Args:
         amends: as in `holding`.
+        like: what the first bytes of a file hold that may be replaced; "" = any file. A page or
+            picture that somebody may have named after the data replaces its own kind alone.
     Raises: BusyError if another process holds `target` or wrote it since it was looked at;
-        StorageError where the disk refuses.
+        StorageError where the disk refuses, and for a file of another kind.
     """
     with holding(target, amends=amends) as hold:
-        _check_kind(hold.path, target)
+        _check_kind(hold.path, target, like)
         temporary = hold.temporary
         with disk(target):
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -70,25 +73,27 @@ def appearing(target: Path) -> Iterator[Path]:
             raise
 
 
-def write_bytes(target: Path, content: bytes, *, amends: bool = False) -> None:
-    """The old file or the new one, never half of it. Raises: as `replacing`."""
-    with replacing(target, amends=amends) as temporary, disk(target):
+def write_bytes(
+    target: Path, content: bytes, *, amends: bool = False, like: bytes = b""
+) -> None:  # fmt: skip
+    """The old file or the new one, never half of it. Args, Raises: as `replacing`."""
+    with replacing(target, amends=amends, like=like) as temporary, disk(target):
         temporary.write_bytes(content)
 
 
-def check_replaceable(target: Path) -> None:
+def check_replaceable(target: Path, like: bytes = b"") -> None:
     """Try to write beside `target`, before the work whose result is to go there.
 
-    Raises: as `replacing`.
+    Args, Raises: as `replacing`.
     """
     with holding(target, amends=True) as hold, disk(target):
-        _check_kind(hold.path, target)
+        _check_kind(hold.path, target, like)
         hold.temporary.touch(exist_ok=False)
         hold.temporary.unlink()
 
 
-def _check_kind(path: Path, target: Path) -> None:
-    """Raises: StorageError unless there is a file or nothing."""
+def _check_kind(path: Path, target: Path, like: bytes) -> None:
+    """Raises: StorageError unless there is a file of that kind or nothing."""
     with disk(target):
         if path.is_dir():
             raise StorageError("a folder is in the way", where=str(target),
@@ -97,6 +102,12 @@ def _check_kind(path: Path, target: Path) -> None:
             raise StorageError("not a file, and nothing to replace", where=str(target),
                                found=stat.filemode(path.stat().st_mode),
                                hint="choose another name")  # fmt: skip
+        if like and path.exists():
+            with path.open("rb") as file:
+                head = file.read(_HEAD_BYTES)
+            if head and like not in head:
+                raise StorageError("would replace a file of another kind", where=str(target),
+                                   hint="choose another name, or move it away")  # fmt: skip
 
 
 def put_file(temporary: Path, target: Path) -> None:

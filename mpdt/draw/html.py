@@ -41,8 +41,8 @@ def environment(package: str = TEMPLATES) -> Environment:
 
 
 def write_page(target: Path, text: str) -> None:
-    """Raises: StorageError where the disk refuses; the old page stays."""
-    with replacing(target) as temporary, disk(target):
+    """Raises: StorageError where the disk refuses, or what is there is no such page; it stays."""
+    with replacing(target, like=text.lstrip()[:5].encode()) as temporary, disk(target):
         # A name may hold half of a surrogate pair; a page with a mark in its place can be read.
         temporary.write_text(text, encoding="utf-8", errors="replace")
 

@@ -235,3 +235,18 @@ def test_everything_is_on_the_disk_before_the_rename_and_the_rename_after(tmp_pa
         (folder / "sub" / "file").write_text("new")
     assert done[-2:] == ["rename", "p"]
     assert sorted(done[:-2]) == [".ex.", "file", "sub"]
+
+
+def test_a_page_replaces_pages_alone(tmp_path: Path) -> None:
+    """Somebody may name it after the data it is about."""
+    data, page = tmp_path / "x.h5", tmp_path / "x.html"
+    data.write_bytes(b"\x89HDF\r\n\x1a\n")
+    page.touch()
+    for _ in range(2):  # an empty file, and one of its kind
+        check_replaceable(page, like=b"<!doctype")
+        write_bytes(page, b"<!doctype html>", like=b"<!doctype")
+    for tried in (check_replaceable, lambda path, like: write_bytes(path, b"<!", like=like)):
+        with pytest.raises(StorageError, match=r"x.h5: would replace a file of another kind"):
+            tried(data, like=b"<!doctype")
+    assert data.read_bytes() == b"\x89HDF\r\n\x1a\n"
+    assert {path.name for path in tmp_path.iterdir()} == {"x.h5", "x.html"}

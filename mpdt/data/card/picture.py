@@ -12,6 +12,8 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.disk import disk, replacing
 from mpdt.errors import UsageError
 
+PNG, MP4 = b"\x89PNG", b"ftyp"
+"""What the first bytes of such a file hold."""
 MOST_FPS = 40  # a clip of a faster simulator leaves steps out
 
 
@@ -49,7 +51,7 @@ def write_png(target: Path, data: Dataset, film: Film) -> None:
     total.set_ylabel("return so far", color="C1")
     for step in film.steps:
         axes.axvline(step, color="0.8", linewidth=0.8, zorder=0)
-    with replacing(target) as temporary, disk(target):
+    with replacing(target, like=PNG) as temporary, disk(target):
         figure.savefig(temporary, dpi=100, format="png")
 
 
@@ -71,7 +73,7 @@ def write_mp4(target: Path, film: Film, fps: float) -> None:
     from imageio_ffmpeg import write_frames
 
     height, width = film.frames.shape[1:3]
-    with replacing(target) as temporary, disk(target):
+    with replacing(target, like=MP4) as temporary, disk(target):
         writer = write_frames(
             str(temporary), (width, height), fps=fps, quality=7, macro_block_size=4,
             output_params=["-f", "mp4"],

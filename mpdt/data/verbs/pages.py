@@ -68,7 +68,7 @@ class Report(Options):
         more = f"-and-{len(paths) - 1}-more" if data.parts else ""
         target = self.output or paths[0].with_name(f"{paths[0].stem}{more}{part}.html")
         with holding(target):
-            check_replaceable(target)
+            check_replaceable(target, like=b"<!doctype html")
             locked = read_lock(lock_path(load_catalog(self.spec).path)).get(data.name)
             chosen = self._chosen(facts)
             report = None if self.no_verify else verify_all(paths, replay=self.replay, say=self.say)
@@ -158,18 +158,27 @@ class View(Options):
         from contextlib import ExitStack
 
         from mpdt.data.card.film import shoot
-        from mpdt.data.card.picture import clip_frames, expect_package, write_mp4, write_png
+        from mpdt.data.card.picture import (
+            MP4,
+            PNG,
+            clip_frames,
+            expect_package,
+            write_mp4,
+            write_png,
+        )
         from mpdt.data.spec.tasks import get_family
         from mpdt.data.store.reader import open_dataset
         from mpdt.disk import check_replaceable, holding
 
         data = open_dataset(self.file)
         with ExitStack() as stack:
-            for target, package in ((self.png, "matplotlib"), (self.mp4, "imageio_ffmpeg")):
+            for target, package, like in (
+                (self.png, "matplotlib", PNG), (self.mp4, "imageio_ffmpeg", MP4),
+            ):  # fmt: skip
                 if target is not None:
                     expect_package(package)
                     stack.enter_context(holding(target))
-                    check_replaceable(target)
+                    check_replaceable(target, like)
             if self.png is not None:
                 self.say("film     6 frames")
                 (film,) = shoot(self.file, [self.episode])

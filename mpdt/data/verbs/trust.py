@@ -48,9 +48,12 @@ class Verify(Options):
         from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.verify.finding import Outcome
         from mpdt.data.verify.verify import markdown, summary, verify
-        from mpdt.disk import write_bytes
+        from mpdt.disk import check_replaceable, write_bytes
         from mpdt.errors import DataError
 
+        like = b"# mpdt-data verify"
+        if self.markdown is not None:
+            check_replaceable(self.markdown, like)
         report = verify(
             self.file,
             only=split_names(self.only),
@@ -61,7 +64,7 @@ class Verify(Options):
         )
         findings = report.findings
         if self.markdown is not None:
-            write_bytes(self.markdown, markdown(report).encode())
+            write_bytes(self.markdown, markdown(report).encode(), like=like)
         self.print(
             {
                 "path": str(report.path),

@@ -44,7 +44,7 @@ def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
         with disk(output):
             output.mkdir(parents=True, exist_ok=True)
         markdown = markdown_page({"name": folder.name}, tables, NORMALISED)
-        write_bytes(output / "tables.md", markdown.encode())
-        write_bytes(output / "tables.csv", cells_csv(cells).encode())
+        write_bytes(output / "tables.md", markdown.encode(), like=b"# ")
+        write_bytes(output / "tables.csv", cells_csv(cells).encode(), like=b"data,cell,seed")
         draw_study(cells, output)
         draw_kept_prompts(cells, folder, output)

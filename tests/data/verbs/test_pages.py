@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
@@ -135,3 +136,17 @@ def test_a_picture_and_a_clip(tiny_file: Path, monkeypatch: pytest.MonkeyPatch) 
     assert Path("e.png").read_bytes().startswith(b"\x89PNG")
     assert Path("e.mp4").read_bytes()[4:8] == b"ftyp"
     assert not list(Path().glob("*.tmp"))
+
+
+@pytest.mark.parametrize("words", [
+    ("report", "--no-verify", "--film", "none", "-o"), ("view", "-e", "0", "--png"),
+    ("view", "-e", "0", "--mp4"), ("verify", "--skip", "replay", "--markdown"),
+])  # fmt: skip
+def test_the_data_are_not_replaced_by_a_page(
+    tiny_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    path = Path(shutil.copy(tiny_file, tmp_path / "x.h5"))
+    verb, *options = words
+    assert main([verb, str(path), *options, str(path)]) == 1
+    assert "would replace a file of another kind" in capsys.readouterr().err
+    assert path.read_bytes() == tiny_file.read_bytes()
