@@ -1,10 +1,12 @@
-"""Collecting Meta-World data: all 50 tasks with their scripts, against the published step.
+"""Collecting Meta-World data: all 50 tasks, against the published step.
 
     python benchmarks/speed/metaworld_steps.py [--rounds 3] [--keep]
 
-ours    one process per core: whole episodes of 500 steps as `collect` simulates them
-plain   one process per core: the published `env.reset()` and `env.step()` with the same goals
-        and the same scripts; observations, rewards and successes are compared bit for bit
+ours    one process per core: blocks of ten episodes of 500 steps as `collect` simulates them
+        where it has few (elsewhere it steps fifty side by side), with the scripts and with uniform
+        actions; policy, resets and columns included
+plain   one process per core: the published `env.reset()` and `env.step()` with the goals and the
+        ready-made actions of ours; observations, rewards and successes are compared bit for bit
 peer    Minari's DataCollector around the published env of one task, in one process
 """
 
@@ -12,14 +14,16 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
 import numpy as np
 import rounds
 
-HORIZON = 500
+HORIZON, ROWS, BUNDLE = 500, 10, 50
+SHARED = 200  # steps in which the share of physics is measured
 PLAIN = "published env.step"
 
 
@@ -35,64 +39,115 @@ class Published:
         del self.env.sawyer_observation_space
         self.env._set_task_called = True
 
-    def play(self, goal: Any, policy: Any, keys: Any, env: Any = None) -> tuple[Any, Any, Any]:
+    def play(self, goal: Any, actions: Any, env: Any = None) -> tuple[Any, Any, Any]:
         """Observations, rewards and successes of one episode."""
-        from mpdt.data.sim.actors import Rows
         from mpdt.data.sim.metaworld import quiet
 
         env = env or self.env
         self.env._last_rand_vec = goal
         with quiet():
             observation, _ = env.reset()
-            policy.begin(Rows(keys, [goal], HORIZON))
-            # Copies: some scripts write into the observation they are shown.
-            seen, rewards, wins = [observation.copy()], [], []
-            for step in range(HORIZON):
-                action = policy.act(step, observation[None])[0].astype(np.float32)
-                observation, reward, _, _, info = env.step(np.clip(action, -1, 1))
-                seen.append(observation.copy())
+            seen, rewards, wins = [observation], [], []
+            for action in actions:
+                observation, reward, _, _, info = env.step(action)
+                seen.append(observation)
                 rewards.append(reward)
                 wins.append(bool(info["success"]))
         return np.array(seen, np.float32), np.array(rewards, np.float32), np.array(wins)
 
 
-def ways(number: int, size: int, names: list[str] | None = None) -> dict[str, Callable[[], Any]]:
-    """Ours and the published env for every `size`-th task; each returns seconds per task."""
-    from mpdt.data.sim.metaworld import MetaworldBatch
-    from mpdt.data.sim.play import run_block
-    from mpdt.data.sim.scripted import ScriptedPolicy
-    from mpdt.data.spec.tasks import get_family
-    from mpdt.seeding import Quality, SeedKey
+class Ours:
+    """One task as `collect` makes it: episodes with the script or with uniform actions."""
 
-    family = get_family("mt50")
-    tasks = [task for task in family.tasks if names is None or task.name in names][number::size]
-    first = SeedKey(0, family.id, 0, Quality.EXPERT, 0, 0)
-    batches = {task.name: MetaworldBatch([task]) for task in tasks}
-    published = {task.name: Published(task.name) for task in tasks}
-    policies = {task.name: ScriptedPolicy([task.name]) for task in tasks}
-    made: dict[str, Any] = {}
+    def __init__(self, name: str, rows: int = ROWS, horizon: int = HORIZON) -> None:
+        from mpdt.data.sim.actors import UniformPolicy
+        from mpdt.data.sim.metaworld import MetaworldBatch
+        from mpdt.data.sim.scripted import ScriptedPolicy
+        from mpdt.data.spec.tasks import get_family
+        from mpdt.seeding import Quality, SeedKey
 
-    def timed(play: Callable[[str], Any]) -> dict[str, float]:
-        seconds = {}
-        for task in tasks:
-            began = time.perf_counter()
-            play(task.name)
-            seconds[task.name] = time.perf_counter() - began
-        return seconds
+        family = get_family("mt50")
+        task = family.task(name)
+        first = SeedKey(0, family.id, task.index, Quality.EXPERT, 0, 0)
+        self._keys, self._horizon = [first.at_row(row) for row in range(rows)], horizon
+        self._batch = MetaworldBatch([task] * rows)
+        self._policies = {"script": ScriptedPolicy([name]), "uniform": UniformPolicy(4, -1.0, 1.0)}
+        self.made: dict[str, Any] = {}
 
-    def ours(name: str) -> None:
-        (made[name],) = run_block(
-            batches[name], policies[name], [first], horizon=HORIZON, quality=2, progress=1.0
+    def play(self, actor: str) -> None:
+        """The first of the episodes is kept in `made`."""
+        from mpdt.data.sim.play import run_block
+
+        self.made[actor], *_ = run_block(
+            self._batch,
+            self._policies[actor],
+            self._keys,
+            horizon=self._horizon,
+            quality=2,
+            progress=1.0,
         )
 
-    def plain(name: str) -> None:
-        episode = made[name]
-        found = published[name].play(episode.goal, policies[name], [first])
+
+@contextmanager
+def physics() -> Iterator[list[float]]:
+    """Seconds inside MuJoCo's step and forward, as the one entry of a list."""
+    import mujoco
+
+    spent, real = [0.0], (mujoco.mj_step, mujoco.mj_forward)
+
+    def timed(function: Callable[..., None]) -> Callable[..., None]:
+        def run(*arguments: Any, **options: Any) -> None:
+            began = time.perf_counter()
+            function(*arguments, **options)
+            spent[0] += time.perf_counter() - began
+
+        return run
+
+    mujoco.mj_step, mujoco.mj_forward = map(timed, real)
+    try:
+        yield spent
+    finally:
+        mujoco.mj_step, mujoco.mj_forward = real
+
+
+def ways(number: int, size: int) -> dict[str, Callable[[], Any]]:
+    """For every `size`-th task seconds per episode; of "share" those of physics as well."""
+    from mpdt.data.spec.tasks import get_family
+
+    names = [task.name for task in get_family("mt50").tasks][number::size]
+    ours = {name: Ours(name) for name in names}
+    published = {name: Published(name) for name in names}
+
+    def timed(play: Callable[[str], None], episodes: int) -> dict[str, float]:
+        seconds = {}
+        for name in names:
+            began = time.perf_counter()
+            play(name)
+            seconds[name] = (time.perf_counter() - began) / episodes
+        return seconds
+
+    def plain(actor: str, name: str) -> None:
+        episode = ours[name].made[actor]
+        found = published[name].play(episode.goal, episode.actions)
         wanted = (episode.observations, episode.rewards, episode.successes)
         for a, b in zip(found, wanted, strict=True):
             assert np.array_equal(a, b), f"{name}: other bytes than the published env"
 
-    return {"ours": lambda: timed(ours), "plain": lambda: timed(plain)}
+    def share() -> dict[str, tuple[float, float]]:
+        found = {}
+        for name in names:
+            bundle = Ours(name, BUNDLE, SHARED)
+            with physics() as spent:
+                began = time.perf_counter()
+                bundle.play("uniform")
+                found[name] = (time.perf_counter() - began, spent[0])
+        return found
+
+    made: dict[str, Callable[[], Any]] = {"share": share}
+    for actor in ("script", "uniform"):
+        made[f"ours {actor}"] = partial(timed, lambda name, by=actor: ours[name].play(by), ROWS)
+        made[f"plain {actor}"] = partial(timed, partial(plain, actor), 1)
+    return made
 
 
 def collector(name: str) -> Callable[[], float]:
@@ -100,15 +155,9 @@ def collector(name: str) -> Callable[[], float]:
     import gymnasium
     import minari
 
-    from mpdt.data.sim.metaworld import MetaworldEnv
-    from mpdt.data.sim.scripted import ScriptedPolicy
-    from mpdt.data.spec.tasks import get_family
-    from mpdt.seeding import Quality, SeedKey
-
-    published, policy = Published(name), ScriptedPolicy([name])
-    key = SeedKey(0, get_family("mt50").id, 0, Quality.EXPERT, 0, 0)
-    goal = MetaworldEnv(name).draw(0)
-    env = published.env
+    published, ours = Published(name), Ours(name)
+    ours.play("script")
+    episode, env = ours.made["script"], published.env
     # Its own observation space is left out: hidden goals and rounded bounds fail the check.
     env.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (39,), np.float64)
     env.unwrapped.spec = gymnasium.envs.registration.EnvSpec(
@@ -117,7 +166,7 @@ def collector(name: str) -> Callable[[], float]:
     wrapped = minari.DataCollector(env)
 
     def run() -> float:
-        published.play(goal, policy, [key], wrapped)
+        published.play(episode.goal, episode.actions, wrapped)
         return HORIZON
 
     return run
@@ -129,35 +178,44 @@ def measure(report: rounds.Report) -> None:
     with rounds.worker_processes(partial(ways, size=size), size) as team:
 
         def way(name: str) -> Callable[[], float]:
+            """Env steps per second of all workers, each on its own tasks."""
+
             def run() -> float:
                 parts = [part for member in team(name)() for part in member.items()]
                 for task, spent in parts:
                     seconds.setdefault(task, {}).setdefault(name, []).append(spent)
-                return float(len(parts) * HORIZON)
+                return float(len(parts) * HORIZON * (ROWS if name.startswith("ours") else 1))
 
             return run
 
-        report.compare(
-            "50 tasks, their scripts, 500 steps", "env steps/s",
-            [rounds.Way("mpdt", "ours", way("ours"), 0),
-             rounds.Way(PLAIN, "limit", way("plain"), 0)],
-            [rounds.Target(PLAIN, 1.4)], repeats,
-            "every observation, reward and success equal to the published env's, bit for bit",
-        )  # fmt: skip
-    print("\n  task                          us/step   published   ratio")
+        for actor, what in (("script", "their scripts"), ("uniform", "uniform actions")):
+            report.compare(
+                f"50 tasks, {what}, 500 steps", "env steps/s",
+                [rounds.Way("mpdt", "ours", way(f"ours {actor}"), 0),
+                 rounds.Way(PLAIN, "plain", way(f"plain {actor}"), 0)],
+                [rounds.Target(PLAIN, 2.4)], repeats,
+                "every observation, reward and success equal to the published env's, bit for bit;"
+                " the published env steps ready-made actions",
+            )  # fmt: skip
+        shares = {task: inside / whole for part in team("share")()
+                  for task, (whole, inside) in part.items()}  # fmt: skip
+    print("\n  task                          us/step   published   ratio   physics")
     factors = []
     for task, spent in sorted(seconds.items()):
-        ours, plain = (statistics.median(spent[key][1:]) for key in ("ours", "plain"))
+        ours, plain = (statistics.median(spent[f"{key} uniform"][1:]) for key in ("ours", "plain"))
         factors.append(plain / ours)
         print(f"  {task:28} {ours / HORIZON * 1e6:8.0f} {plain / HORIZON * 1e6:11.0f}"
-              f" {factors[-1]:7.2f}")  # fmt: skip
+              f" {factors[-1]:7.2f} {shares[task]:9.2f}")  # fmt: skip
     report.fact("median over tasks of the ratio", statistics.median(factors), "x")
     report.fact("least ratio of a task", min(factors), "x")
     report.fact("greatest ratio of a task", max(factors), "x")
+    report.fact("share of physics, mean over tasks", statistics.mean(shares.values()),
+                "", least=0.8, note="fifty rows, uniform actions, resets and storing")  # fmt: skip
     if not rounds.have("jax"):
         return
-    one = ways(0, 1, ["push"])
-    one["ours"]()
+    one, published = Ours("push"), Published("push")
+    one.play("script")
+    made = one.made["script"]
     try:
         peer = rounds.Way("Minari DataCollector", "peer", collector("push"), HORIZON)
         peer.run()
@@ -165,17 +223,17 @@ def measure(report: rounds.Report) -> None:
         report.fact("Minari DataCollector runs on push", 0, "", note=f"{error}"[:200])
         return
 
-    def alone(name: str) -> Callable[[], float]:
-        def run() -> float:
-            one[name]()
-            return float(HORIZON)
+    def alone() -> float:
+        one.play("script")
+        return float(HORIZON * ROWS)
 
-        return run
+    def plain() -> float:
+        published.play(made.goal, made.actions)
+        return float(HORIZON)
 
     report.compare(
         "push alone, one process", "env steps/s",
-        [rounds.Way("mpdt", "ours", alone("ours"), HORIZON),
-         rounds.Way(PLAIN, "limit", alone("plain"), HORIZON), peer],
+        [rounds.Way("mpdt", "ours", alone, 0), rounds.Way(PLAIN, "plain", plain, 0), peer],
     )  # fmt: skip
 
 
