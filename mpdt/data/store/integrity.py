@@ -13,7 +13,7 @@ from mpdt.errors import FormatError
 
 
 def check_tables(dataset: Dataset) -> None:
-    """Row numbers point into their tables and episodes tile the step arrays.
+    """Row numbers point into their tables, numbers are some, and episodes tile the step arrays.
 
     Wrong offsets would not crash anything later: they would train on other episodes' steps.
 
@@ -27,6 +27,7 @@ def check_tables(dataset: Dataset) -> None:
     _in_range(dataset.goals.tasks, len(dataset.tasks), "/goals/task", where)
     _in_range(dataset.goals.dims, dataset.goals.values.shape[1] + 1, "/goals/dim", where)
     _in_range(dataset.policies.tasks, len(dataset.tasks), "/policies/task", where)
+    _numbers(dataset, where)
     _tiles(episodes, len(dataset.steps.actions), len(dataset.steps.observations),
            "/episodes", where)  # fmt: skip
     for name, ids in dataset.slices.items():
@@ -81,6 +82,32 @@ def _in_range(rows: NDArray[Any], count: int, name: str, where: str) -> None:
         raise FormatError(f"{name} points outside its table", where=where,
                           expected=f"0 to {count - 1}",
                           found=f"{rows.min()} to {rows.max()}")  # fmt: skip
+
+
+def _numbers(dataset: Dataset, where: str) -> None:
+    """No table holds an infinity; a return and a goal are known, where others may be NaN."""
+    named: dict[str, Any] = {
+        "/episodes/progress": dataset.episodes.progress,
+        "/policies/level": dataset.policies.levels,
+        "/policies/mix_rate": dataset.policies.mix_rates,
+    }  # fmt: skip
+    named |= {
+        f"/tasks/ref_{kind} of {task}": np.array([one.mean, one.error, one.success or 0.0])
+        for task, references in zip(dataset.tasks.names, dataset.tasks.references, strict=True)
+        for kind, one in references.by_name.items()
+    }  # fmt: skip
+    if dataset.stats_info:
+        named |= {
+            f"/stats/{name}/{key}": values
+            for name, columns in dataset.stats_info.fields.items()
+            for key, values in columns.items()
+        }  # fmt: skip
+    known = {"/episodes/return": dataset.episodes.returns, "/goals/values": dataset.goals.values}
+    wrong = [name for name, values in named.items() if np.isinf(values).any()]
+    wrong += [name for name, values in known.items() if not np.isfinite(values).all()]
+    if wrong:
+        raise FormatError(f"{wrong[0]} holds what is no number", where=where,
+                          hint="mpdt-data verify says more; take another copy")  # fmt: skip
 
 
 def _tiles(columns: Any, num_steps: int, num_observations: int, name: str, where: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -40,9 +41,19 @@ class Options(ABC):
     def print(self, result: Any, text: str) -> None:
         """The result: as JSON if asked for, else as text."""
         if self.json:
-            text = visible_json(json.dumps(result, ensure_ascii=False, allow_nan=False, indent=1))
+            plain = _with_null(result)
+            text = visible_json(json.dumps(plain, ensure_ascii=False, allow_nan=False, indent=1))
         sys.stdout.write(visible(text.rstrip("\n"), lines=True) + "\n")
         sys.stdout.flush()
+
+
+def _with_null(value: Any) -> Any:
+    """JSON has no NaN and no infinity."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _with_null(item) for key, item in value.items()}
+    return [_with_null(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def split_names(names: Sequence[str]) -> tuple[str, ...]:
