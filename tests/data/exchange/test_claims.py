@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.exchange.claims import Said, named
+from mpdt.data.exchange.minari_claims import said_in
 from mpdt.data.exchange.treatment import Rules
 from mpdt.data.slices.merge import merge
 from mpdt.data.spec.tasks import get_family
@@ -112,6 +113,25 @@ def test_metadata_of_minari(
     (folder / "data/metadata.json").write_text(json.dumps(metadata))
     assert run("import", folder, *words, "--task", "forward", "-o", "x.h5") == 1
     assert "forward in the command line, backward in its options" in capsys.readouterr().err
+    Path("imported.h5").unlink()
+    taken_back: Dataset = imported(
+        folder, *words, "--task", "backward", "--quality", "unknown", "--license", "MIT"
+    )
+    assert set(taken_back.episodes.quality.tolist()) == {-1}
+
+
+def test_the_environment_that_a_minari_set_names() -> None:
+    def said(**arguments: str) -> Said:
+        metadata = {"env_spec": json.dumps({"kwargs": arguments})}
+        return said_in(metadata, get_family("ml10"), "x")
+
+    assert said(env_name="reach-v3").task == "reach"
+    assert said(env_name="Walker2d-v5").task == ""
+    ours = said(family="ml10", task="push")
+    assert (ours.family, ours.task) == ("ml10", "push")
+    cheetah = said_in({"env_spec": '{"kwargs": {"env_name": "reach-v3"}}'},
+                      get_family("cheetah_dir"), "x")  # fmt: skip
+    assert cheetah.task == ""
 
 
 def test_names_and_folders_of_pickles(
