@@ -21,7 +21,7 @@ from mpdt.data.store.digest import content_header
 from mpdt.data.store.inherit import task_rows
 from mpdt.data.store.proof import check_digests
 from mpdt.data.store.reader import open_dataset, read_file
-from mpdt.data.store.seal import check_seal, seal
+from mpdt.data.store.seal import seal
 from mpdt.data.store.sources import TtaSource
 from mpdt.data.store.tables import Int64, Slice
 from mpdt.data.store.ttaset import fill_tta
@@ -89,12 +89,11 @@ def _copy(path: Path, but: str = "") -> Iterator[tuple[h5py.File, Dataset]]:
     with replacing(path) as temporary:
         with disk(path):
             shutil.copyfile(path, temporary)
-        copied = read_file(temporary)
+        copied = read_file(temporary)  # its seal as well, or a new one would cover up damage
         check_digests(copied, path, [name for name in copied.tta if name != but])
         with disk(path):
             file = h5py.File(temporary, "r+", **ALIGNED)
         with closing(file, path):
-            check_seal(file, path)  # or a new seal would cover up the damage
             yield file, dataset
             with disk(path):
                 seal(file)

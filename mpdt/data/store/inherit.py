@@ -92,9 +92,7 @@ def tta_of(dataset: Dataset, name: str, rows: Sequence[int] | None = None) -> Tt
     kept = set(range(len(dataset.tasks)) if rows is None else rows)
     ids = [i for i in range(len(tta)) if int(tta.task[i]) in kept]
     indices = {dataset.tasks.indices[row] for row in kept}
-    presets = {
-        dataset.tasks.indices[tta.task[i]]: float(tta.preset_return[i]) for i in reversed(ids)
-    }
+    presets = {dataset.tasks.indices[tta.task[i]]: float(tta.preset_return[i]) for i in ids}
     return TtaSource(
         episodes=(e for e in proven_tta(dataset, name) if e.task in indices),
         num_episodes=len(ids),

@@ -23,7 +23,7 @@ from mpdt.data.store.integrity import check_names, check_tables
 from mpdt.data.store.opening import Opened, Source, opened
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.references import references_of
-from mpdt.data.store.seal import ATTRIBUTE, check_tree
+from mpdt.data.store.seal import ATTRIBUTE, check_seal
 from mpdt.data.store.tree import Array, Tree
 from mpdt.errors import (
     FormatError,
@@ -96,7 +96,7 @@ def open_tta_rewards(
         if name not in (sets := tree.names("tta")):
             raise unknown_name("TTA set", name, sets, where=str(path))
         if checked:
-            check_tree(tree, path)
+            check_seal(tree, path)
         tree.columns(f"{group}/steps", layout.TTA_STEPS, sizes)
         found = tree.columns(group, layout.TTA_SIMULATOR, sizes)
         successes = found["sim_successes"].values if "sim_successes" in found else None
@@ -133,7 +133,7 @@ def read_file(
     with opened(path, unfinished) as file:
         dataset = _read(file, path, _Arrays(file.stream, preload), checked)
         if checked and not unfinished:  # last: what is wrong can be said more clearly before
-            check_tree(file.tree, path)
+            check_seal(file.tree, path)
     return dataset
 
 
@@ -201,7 +201,7 @@ def _read(file: Opened, path: Path, arrays: _Arrays, checked: bool = True) -> Da
         content_hash=tree.text("", "content_hash"),
         parent=tree.text("", "parent"),
         lineage=_read_lineage(tree),
-        # The writer reads its file back before it is sealed; `check_tree` insists on one.
+        # The writer reads its file back before it is sealed; `check_seal` insists on one.
         seal=tree.text("", ATTRIBUTE) if ATTRIBUTE in tree.attributes("") else "",
         packages=tree.json("", "packages"),
         platform=tree.json("", "platform"),

@@ -34,13 +34,8 @@ def seal(file: h5py.File) -> None:
     file.attrs[ATTRIBUTE] = seal_of(file)
 
 
-def check_seal(file: h5py.File, where: Path) -> None:
+def check_seal(tree: Tree, where: Path) -> None:
     """Raises: FormatError if something in the file is not what its writer sealed."""
-    check_tree(Tree(file, str(where)), where)
-
-
-def check_tree(tree: Tree, where: Path) -> None:
-    """`check_seal` of a file whose tree is known already."""
     if not _holds(tree):
         raise FormatError("the seal is broken: something outside the episodes was changed",
                           where=str(where), hint="mpdt-data verify says what; take another "

@@ -75,11 +75,18 @@ def test_select(made):
     assert made.select(task=1).tolist() == [3]
     assert made.select(task=["forward", 1], quality="random").tolist() == [0, 1, 3]
     assert made.select(quality=["medium", "expert"]).tolist() == [2]
-    for wrong in ({"task": "forwrd"}, {"task": 2}, {"quality": "exprt"}, {"slice": "train"}):
+    for wrong in (
+        {"task": "forwrd"},
+        {"task": 2},
+        {"task": -1},
+        {"quality": "exprt"},
+        {"slice": "train"},
+    ):
         with pytest.raises(UsageError, match="unknown"):
             made.select(**wrong)
-    with pytest.raises(UsageError, match="no episode 4; expected 0 to 3"):
-        made.episode(4)
+    for outside in (4, -1):
+        with pytest.raises(UsageError, match=f"no episode {outside}; expected 0 to 3"):
+            made.episode(outside)
 
 
 def test_parse_ref(tmp_path):

@@ -11,6 +11,7 @@ import pytest
 from mpdt.data.store.amend import add_slice
 from mpdt.data.store.reader import open_dataset, open_tta_rewards
 from mpdt.data.store.seal import check_seal, seal, seal_of
+from mpdt.data.store.tree import Tree
 from mpdt.errors import FormatError
 
 CHANGES: dict[str, Callable[[h5py.File], None]] = {
@@ -42,10 +43,10 @@ def _retype(file: h5py.File, name: str) -> None:
 @pytest.mark.parametrize("change", CHANGES)
 def test_every_change_outside_the_episodes_breaks_it(made, change):
     with h5py.File(made.path, "r+") as file:
-        check_seal(file, made.path)
+        check_seal(Tree(file, str(made.path)), made.path)
         CHANGES[change](file)
         with pytest.raises(FormatError, match="the seal is broken"):
-            check_seal(file, made.path)
+            check_seal(Tree(file, str(made.path)), made.path)
 
 
 def test_the_episodes_have_digests_of_their_own(made):
@@ -61,7 +62,7 @@ def test_a_new_slice_is_sealed_and_changes_no_content(made):
         old = seal_of(file)
     assert add_slice(made.path, "one", [0], {"by": "hand"}).content_hash == before
     with h5py.File(made.path) as file:
-        check_seal(file, made.path)
+        check_seal(Tree(file, str(made.path)), made.path)
         assert seal_of(file) != old
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from mpdt.errors import DataError, UsageError
 from mpdt.seeding import Quality, SeedKey
-from mpdt.train.fit.data import load_material, return_table
+from mpdt.train.fit.data import load_material, return_table, sample_demonstrations
 
 
 def test_auto_takes_the_expert_of_a_whole_file(tiny_file):
@@ -111,6 +111,14 @@ def test_the_range_of_returns_is_kept_not_its_values(tiny_file):
     table = return_table(toy, "task", quantile=0.0)
     assert (table.low.item(), table.high.item(), table.scale.item()) == (-4.0, 5.0, 5.0)
     assert table.target.item() == -3.0
+
+
+def test_an_episode_as_long_as_a_prompt_is_shown_whole(tiny_file):
+    material = load_material(str(tiny_file), "expert")
+    shown = sample_demonstrations(material, 9, seed=0, each=2)
+    assert shown.observations.shape[:3] == (2, 2, 9) and shown.mask.all()
+    with pytest.raises(DataError, match="as long as a prompt"):
+        sample_demonstrations(material, 10, seed=0)
 
 
 def test_goals_are_drawn_as_the_data_drew_them(tiny_file):

@@ -72,6 +72,15 @@ def test_compiled_blocks_give_the_same_losses(material, plain):
     assert subject.policy.backbone.blocks()[0]._compiled_call_impl is None
 
 
+def test_blocks_are_compiled_while_they_work_and_no_longer():
+    backbone = load_backbone("random:tiny", dtype="float32")
+    (block, *_), module = backbone.blocks(), torch.nn.Linear(2, 2)
+    optimizer = torch.optim.SGD(module.parameters())
+    with Hardware(HardwareSettings(compile="eager")).working(backbone, optimizer, module):
+        assert block._compiled_call_impl is not None
+    assert block._compiled_call_impl is None
+
+
 def test_an_overflow_of_float16_is_skipped_and_the_scale_halved(material):
     hardware = Hardware(HardwareSettings(autocast="float16"))
     hardware.scaler = torch.amp.GradScaler("cpu", init_scale=2.0**40)

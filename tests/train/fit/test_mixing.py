@@ -40,8 +40,12 @@ def test_only_tasks_between_others_are_mixed_and_in_every_way(mixtures):
 def test_a_task_the_others_do_not_explain_keeps_its_prompt():
     """Between the two others on average, but its rewards follow another observation."""
     odd = speeds(2, 7)
-    odd = Transitions(odd.inputs, odd.inputs[:, 1] * 4 - 4)
-    found = held_out_mixtures([speeds(1, 0), odd, speeds(3, 2)], SETTINGS, 0)
+    odd = Transitions(odd.inputs, odd.inputs[:, 1] - 2)
+    # Small rewards have small errors: what counts is their share of the variance.
+    tasks = [
+        Transitions(one.inputs, 0.3 * one.rewards) for one in (speeds(1, 0), odd, speeds(3, 2))
+    ]
+    found = held_out_mixtures(tasks, SETTINGS, 0)
     assert [len(ways) for ways in found] == [0, 0, 0]
 
 

@@ -29,9 +29,9 @@ def test_missed_variance_has_no_unit():
 
 
 def test_prompt_target_by_hand():
-    """P = 3 everywhere, teacher 1 everywhere: (3 - 1)^2 / 1^2 = 4."""
+    """P = 3 everywhere, teacher 2 everywhere: (3 - 2)^2 / 2^2 = 0.25."""
     prompts = TeacherPrompts(PromptSettings(length=2), 3, 4, spread=1.0)
-    prompts.prompts.data.fill_(1.0)
+    prompts.prompts.data.fill_(2.0)
     settings = TeacherSettings(distillation="prompt")
 
     class NoPolicy(torch.nn.Module):
@@ -40,7 +40,7 @@ def test_prompt_target_by_hand():
     teacher = Teacher(NoPolicy(), prompts, settings)
     nothing = torch.zeros(())
     loss = teacher.loss(nothing, torch.tensor([0, 2]), torch.full((2, 2, 4), 3.0), nothing, nothing)
-    assert loss.item() == 4.0 and not teacher.needs_features
+    assert loss.item() == 0.25 and not teacher.needs_features
 
 
 def test_equal_policies_have_no_mpt_loss_and_the_teacher_stays_as_it_was(tiny_file):
@@ -59,12 +59,17 @@ def test_equal_policies_have_no_mpt_loss_and_the_teacher_stays_as_it_was(tiny_fi
     batch, slots = PolicyBatch.from_windows(windows), torch.from_numpy(windows.slots)
     returns = return_table(material, "task", 0.9)
 
-    def loss():
-        own = prompts.task_prompts(slots)
+    def loss(teacher=teacher, away=0.0):
+        own = prompts.task_prompts(slots) + away
         output: PolicyOutput = policy(batch, own, returns, layer_features=True)
         return teacher.loss(batch, slots, own, output, returns)
 
     assert loss().item() == 0.0
+    actions, once, thrice = (
+        loss(Teacher(policy, prompts, TeacherSettings(hidden_weight=weight)), away=0.5).item()
+        for weight in (0.0, 0.1, 0.3)
+    )
+    assert once > actions > 0.0 and thrice - actions == pytest.approx(3 * (once - actions))
     with torch.no_grad():
         for parameter in policy.head.parameters():
             parameter.add_(0.1)
