@@ -48,6 +48,21 @@ def test_a_cut_out_is_all_of_the_file_that_was_opened(replaced, tmp_path):
     assert verify(cut.path, skip=("replay",)).findings
 
 
+def test_a_file_that_is_replaced_between_looking_and_opening_is_not_read(replaced, monkeypatch):
+    path, other = replaced
+    old, file = open_tta_rewards(path, "default"), opening.h5py.File
+
+    def late(name, *args):
+        if other.exists() and isinstance(name, Path):
+            other.replace(path)
+        return file(name, *args)
+
+    monkeypatch.setattr(opening.h5py, "File", late)
+    found, _ = open_tta_rewards(path, "default")
+    assert not other.exists()
+    np.testing.assert_array_equal(found, old[0])
+
+
 def test_elsewhere_another_file_is_refused(replaced, monkeypatch):
     path, other = replaced
     monkeypatch.setattr(opening, "_proc_name", lambda handle: None)

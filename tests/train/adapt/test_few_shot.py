@@ -16,7 +16,7 @@ from mpdt.train.fit.data import load_material
 from mpdt.train.run.presets import smoke
 
 QUICK = FewShotSettings(steps=12, updates=3, per_task=4, lr=0.01)
-RETURNS = ReturnTable(*(torch.tensor([x, x]) for x in (30.0, 0.0, 30.0, 25.0)))
+RETURNS = ReturnTable(*(torch.tensor([x, x + 9]) for x in (30.0, 0.0, 30.0, 25.0)))
 
 
 @pytest.fixture(scope="module")

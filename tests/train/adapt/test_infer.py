@@ -37,3 +37,4 @@ def test_a_trained_goal_is_found_and_can_be_held_out(model):
     assert explain(model, x, tasks=1).weights.tolist() == [1, 0, 0]
     held_out = explain(model, x, tasks=2, banned=[0])
     assert held_out.weights[0] == 0 and held_out.weights[1] > 0.8
+    assert explain(model, x, tasks=2, banned=[0, 1]).weights.tolist() == [0, 0, 1]

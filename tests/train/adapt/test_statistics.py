@@ -41,6 +41,7 @@ def test_merged_batches_equal_all_at_once(monkeypatch, axes):
          torch.rand(2, 3, 4, generator=generator) > 0.3)
         for _ in range(3)
     ]  # fmt: skip
+    batches[0][1][:, :, 0] = False  # nobody shows that position in this batch
     monkeypatch.setattr(statistics, "_features", lambda *_: iter(batches))
     found = source_statistics(None, None, None, None, StatisticsSettings(axes=axes))
     for layer in range(2):
