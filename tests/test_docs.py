@@ -1,4 +1,4 @@
-"""Code in documents runs: a page's blocks, in order, as one script in an empty folder.
+"""Code in documents runs: a page's blocks, in order, as one script in a folder with our policies.
 
 A command of ours is a process of its own, forked off the script: what it would import again, torch
 and transformers among it, is there already, which halves the time.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -75,6 +76,7 @@ def test_the_page_runs(name: str, tmp_path: Path) -> None:
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     environment = os.environ | {"PATH": path, "OMP_NUM_THREADS": "1"}
     code = script((ROOT / "docs" / name).read_text())
+    shutil.copytree(ROOT / "policies", tmp_path / "policies")
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment,
         capture_output=True, text=True, check=False,
