@@ -48,5 +48,11 @@ def _prompts(config: BundleConfig, task: str, start: str | None) -> PromptSet:
     if start not in sets:
         raise unknown_name("start", start, sets, where=config.name)
     if task not in sets[start].tasks:
-        raise unknown_name("test task", task, sets[start].tasks, where=config.name)
+        others = [f'start="{one.name}"' for one in config.prompts if task in one.tasks]
+        raise UsageError(
+            f"the start '{start}' has no prompt for {task}",
+            where=config.name,
+            expected=", ".join(sets[start].tasks),
+            hint=f"{task} can act with {' or '.join(others)}" if others else "",
+        )
     return sets[start]

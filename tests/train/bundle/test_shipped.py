@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
+from mpdt.errors import UsageError
+from mpdt.train.bundle.build import Bundle
 from mpdt.train.bundle.read import read_contents
+from mpdt.train.bundle.select import policy_of_bundle
 
 POLICIES = Path(__file__).parents[3] / "policies"
 NAMES = ("ant_dir", "cheetah_vel", "ml10")
@@ -26,6 +29,17 @@ def test_it_can_be_read_and_is_small(name):
     assert config.backbone.shape is None and config.backbone.dtype == "float32"
     assert [one.name for one in config.prompts] == ["own", "infer", "none"]
     assert sum(path.stat().st_size for path in folder.iterdir()) < MOST_BYTES
+
+
+@pytest.mark.parametrize(("task", "start", "hint"), [
+    ("v0.675", "infer", 'v0.675 can act with start="own"'),
+    ("v0.600", "own", 'v0.600 can act with start="infer" or start="none"'),
+])  # fmt: skip
+def test_a_task_without_a_prompt_from_that_start_is_told_which_it_has(task, start, hint):
+    config = read_contents(POLICIES / "cheetah_vel").config
+    with pytest.raises(UsageError, match=f"'{start}' has no prompt for {task}") as caught:
+        policy_of_bundle(Bundle(config, None, None, {}, {}), task, start)
+    assert caught.value.hint == hint
 
 
 def level(card, row):
