@@ -109,11 +109,11 @@ def _fill_standard_files() -> None:
 def _opened_again(
     kind: type[io.TextIOWrapper], number: int, old: TextIO | None
 ) -> io.TextIOWrapper:
-    """A standard file as it was, but of that kind."""
+    """A standard file as it was, but of that kind, and with a code for what its encoding lacks."""
     if old is not None:
         old.flush()
     buffer = io.BufferedWriter(io.FileIO(number, "w", closefd=False))
-    return kind(buffer, getattr(old, "encoding", "utf-8"), getattr(old, "errors", "strict"),
+    return kind(buffer, getattr(old, "encoding", "utf-8"), "backslashreplace",
                 line_buffering=number == 2 or os.isatty(number))  # fmt: skip
 
 

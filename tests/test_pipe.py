@@ -82,6 +82,16 @@ def test_what_a_closed_stdout_leaves_free_is_no_file_of_ours() -> None:
     assert in_shell(code, [], ">&- <&-").stderr == "True"
 
 
+def test_a_terminal_that_lacks_characters() -> None:
+    code = (
+        "import sys\nfrom mpdt.pipe import reader_may_leave\nwith reader_may_leave():\n"
+        "    print('\\u2581\\xe9')"
+    )
+    env = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, check=False)
+    assert (done.stdout, done.stderr) == (b"\\u2581\\xe9\n", b"")
+
+
 def in_shell(code: str, words: list[str], where: str) -> subprocess.CompletedProcess[str]:
     line = shlex.join([sys.executable, "-c", code, *words])
     return subprocess.run(

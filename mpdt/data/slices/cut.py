@@ -96,10 +96,10 @@ def choose(dataset: Dataset, cut: Cut) -> Int64:
     Raises: UsageError for an unknown name, a count below 1 or a range that is none; DataError
         if nothing is left.
     """
-    if cut.episodes is not None and cut.episodes < 1:
-        raise UsageError(
-            "too few episodes", where="--episodes", expected="1 or more", found=str(cut.episodes)
-        )
+    if cut.episodes is not None and not 1 <= cut.episodes < 1 << 31:
+        raise UsageError(f"too {'few' if cut.episodes < 1 else 'many'} episodes",
+                         where="--episodes", expected="1 or more, and no more than a file has",
+                         found=str(cut.episodes))  # fmt: skip
     ids = dataset.select(
         task=[int(row) for row in task_rows(dataset, cut)], quality=cut.quality, slice=cut.slice
     )

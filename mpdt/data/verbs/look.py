@@ -126,7 +126,9 @@ class Show(Options):
             reference_table,
             schema,
         )
+        from mpdt.errors import check_at_least
 
+        check_at_least("--episodes", self.episodes, 0)
         data, slice_name = open_ref(self.file)
         names = split_names(self.tasks) or None
         ids = data.select(task=names, slice=slice_name)

@@ -42,7 +42,9 @@ class Options(ABC):
         """The result: as JSON if asked for, else as text."""
         if self.json:
             plain = _with_null(result)
-            text = visible_json(json.dumps(plain, ensure_ascii=False, allow_nan=False, indent=1))
+            is_short = not str(getattr(sys.stdout, "encoding", "")).lower().startswith("utf")
+            text = json.dumps(plain, ensure_ascii=is_short, allow_nan=False, indent=1)
+            text = visible_json(text)
         sys.stdout.write(visible(text.rstrip("\n"), lines=True) + "\n")
         sys.stdout.flush()
 

@@ -78,6 +78,8 @@ def test_unknown_names_have_a_nearest_one(data: Dataset) -> None:
         choose(data, Cut(slice="experts"))
     with pytest.raises(UsageError, match="1 or more"):
         choose(data, Cut(episodes=0))
+    with pytest.raises(UsageError, match="too many episodes"):
+        choose(data, Cut(episodes=10**20))
 
 
 def test_nothing_left_is_an_error(data: Dataset) -> None:
