@@ -12,14 +12,12 @@ from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.plan import Block, Plan, make_plan
 from mpdt.data.collect.runner import BlockRunner, bundled
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts, TtaRule
-from mpdt.data.spec.tasks import get_family
 from tests.data.collect.test_plan import make_spec
 
 
 def meta_world(**changes: object) -> DatasetSpec:
-    return make_spec(
-        family="ml10", tasks=("reach", "push"), behaviour=Behaviour(script="metaworld"), **changes
-    )
+    own = {"family": "ml10", "tasks": ("reach", "push"), "behaviour": Behaviour(script="metaworld")}
+    return make_spec(**(own | changes))
 
 
 def sizes(plan: Plan, workers: int) -> list[int]:
@@ -51,11 +49,13 @@ def test_blocks_of_a_task_and_horizon_are_bundled_as_the_workers_allow() -> None
 
 
 def test_blocks_side_by_side_leave_the_parts_of_blocks_one_by_one(tmp_path: Path) -> None:
-    """Other policies, other qualities, a short last block; one draws its own numbers only."""
-    job = make_job(meta_world(block=2, horizon=5))
-    task = get_family("ml10").task("reach")
-    blocks = [block for block in job.plan.blocks if block.task == task and block.horizon == 5]
-    blocks = [*blocks[:2], *blocks[-2:]]
+    """Uniform actions, two blocks of the script and one that is shorter."""
+    counts = EpisodeCounts(random=2, expert=3)
+    job = make_job(meta_world(block=2, horizon=5, episodes=counts, tasks=("reach",)))
+    blocks = job.plan.of_kind("episodes")
+    assert [(block.name, block.rows) for block in blocks] == [
+        ("random", 2), ("expert", 2), ("expert", 1)
+    ]  # fmt: skip
     folders = []
     for name in ("together", "alone"):
         folder = PartsFolder(tmp_path / name)
@@ -63,7 +63,6 @@ def test_blocks_side_by_side_leave_the_parts_of_blocks_one_by_one(tmp_path: Path
         folders.append(folder)
     reports = BlockRunner(job, folders[0]).together(blocks)
     alone = BlockRunner(job, folders[1])
-    assert len({block.name for block in blocks}) > 1
     for block, report in zip(blocks, reports, strict=True):
         single = alone(block)
         assert report.block is block and report.steps == single.steps

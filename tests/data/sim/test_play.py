@@ -21,7 +21,7 @@ import pytest
 from mpdt.data.episode import Episode, PolicyInfo
 from mpdt.data.sim.actors import Rows
 from mpdt.data.sim.batch import StepResult
-from mpdt.data.sim.play import run_block
+from mpdt.data.sim.play import Acted, run_block, run_blocks
 from mpdt.errors import DataError
 from mpdt.seeding import SeedKey
 
@@ -184,3 +184,21 @@ def test_no_global_generator_is_touched() -> None:
     before = np.random.get_state()[1].copy()  # noqa: NPY002
     run(CounterBatch(2), RisingPolicy(), 3)
     assert (np.random.get_state()[1] == before).all()  # noqa: NPY002
+
+
+def test_blocks_side_by_side_do_not_know_of_each_other() -> None:
+    """Two rows that rise by halves, and one by ones: each policy is shown its own, padded to 3."""
+    keys, slow, fast = make_keys(3), RisingPolicy(), RisingPolicy(1.0)
+    blocks = [Acted(slow, keys[:2], 0, 0.0), Acted(fast, keys[2:], 1, 1.0)]
+    first, second = run_blocks(CounterBatch(3), blocks, horizon=2, width=3)
+    assert [e.actions[:, 0].tolist() for e in [*first, *second]] == [[0.5, 1.0]] * 2 + [[1.0]]
+    assert [(e.quality, e.progress) for e in [*first, *second]] == [(0, 0.0)] * 2 + [(1, 1.0)]
+    assert slow.seen[0][:, 0].tolist() == [0, 1, 0] and slow.seen[1][:, 0].tolist() == [
+        0.5,
+        1.5,
+        0.5,
+    ]
+    assert fast.seen[0][:, 0].tolist() == [2, 2, 2]
+    assert [float(goal[0]) for goal in slow.goals] == [100, 101, 101]
+    assert [float(goal[0]) for goal in fast.goals] == [102, 102, 102]
+    assert [key.row for key in fast.keys] == [2, 3, 4] and fast.keys[0] == keys[2]

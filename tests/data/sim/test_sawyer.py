@@ -59,3 +59,13 @@ def test_second_goals_on_used_envs_have_the_published_bytes(name):
         for action in generator.uniform(-1.5, 1.5, (40, 4)).astype(np.float32):
             (seen, *rest), (expected, *expected_rest) = quick.step(action), plain.step(action)
             assert seen.tobytes() == expected.tobytes() and rest == expected_rest
+
+
+@pytest.mark.parametrize(("name", "ways"), [("push", 1), ("drawer-open", 2)])
+def test_the_hands_way_home_is_kept_by_where_bodies_are_fixed(name, ways):
+    """Push's goal is a mark on the table, drawer-open's moves the drawer."""
+    env = MetaworldEnv(name)
+    goals = [env.draw(seed) for seed in (1, 2)]
+    first = [env.reset(goal).tobytes() for goal in (*goals, *goals)]
+    assert len(env.inner._ways_home) == ways
+    assert first[:2] == first[2:]

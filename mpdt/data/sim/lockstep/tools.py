@@ -41,10 +41,10 @@ def _assembly(scene: Scene) -> Score:
     centre, error = scene.site("RoundNut"), scene.target - scene.site("RoundNut")
     radius = length(error[:, :2])
     won = (radius < 0.02) & (error[:, 2] > 0.0)
-    threshold = np.where(won, 0.02, 0.01)
-    height = np.where(won, level_log(radius, 0.02, 0.02, 0.2), level_log(radius, 0.01, 0.02, 0.2))
+    # The threshold is twice as wide for who has won, whose reward is 10 whatever it was.
+    height = level_log(radius, 0.01, 0.02, 0.2)
     error[:, 2] = height - centre[:, 2]
-    lifted = (centre[:, 2] > 0.02) | (radius < threshold)
+    lifted = (centre[:, 2] > 0.02) | (radius < 0.01)
     near = tolerance(length(error * np.array([1.0, 1.0, 3.0])), (0, 0.02), 0.4)
     place = 0.1 * lifted + 0.9 * near
     held = caged(scene, _along(scene, 0.01), radius=0.015, pads=0.02, plane=0.01, density="medium")

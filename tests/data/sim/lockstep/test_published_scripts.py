@@ -13,20 +13,29 @@ from mpdt.data.spec.tasks import get_family
 NAMES = [task.name for task in get_family("mt50").tasks]
 
 
-def scenes(count):
-    """Observations (count, 39): objects and goals from 0.1 mm to 0.5 m from the hand."""
-    generator = np.random.default_rng(0)
+def scenes(count=400):
+    """Observations (count, 39) of a hand beside, over and far from what a script looks at.
 
-    def near(points, *distances):
-        way = generator.normal(size=(count, 3)) * generator.choice([0, 0.3, 1], (count, 3))
-        return points + way * generator.choice(distances, (count, 1))
+    In a third of them each way the distance in z, or in x and y, grows by half a millimetre from
+    scene to scene and the others are small, so that no threshold can move by 2 mm unseen.
+    """
+    generator = np.random.default_rng(0)
+    growing = np.linspace(0.0, 0.175, count)
+
+    def near(points, scale=1.0):
+        way = generator.normal(size=(count, 3)) * generator.choice([0.002, 0.008, 0.03], (count, 3))
+        kind = np.arange(count) % 3
+        way[kind == 0, 2] = growing[kind == 0]
+        way[kind == 1, generator.integers(0, 2)] = growing[kind == 1]
+        return points + scale * way * generator.choice([-1, 1], (count, 3))
 
     seen = generator.normal(size=(count, 39))
     seen[:, :3] = generator.uniform([-0.4, 0.4, 0.05], [0.4, 0.95, 0.4], (count, 3))
     seen[:, 3] = generator.uniform(0, 1, count)
-    seen[:, 4:7] = near(seen[:, :3], 0.005, 0.02, 0.05, 0.15, 0.4)
-    seen[:, 11:14] = near(seen[:, 4:7], 0.005, 0.02, 0.05)
-    seen[:, 36:39] = near(seen[:, :3], 0.005, 0.03, 0.1, 0.3)
+    order = generator.permutation(count)  # what is near and what is at the goal are not the same
+    seen[:, 4:7] = near(seen[:, :3])
+    seen[:, 11:14] = near(seen[:, 4:7])
+    seen[:, 36:39] = near(seen[:, :3])[order] - seen[order, :3] + seen[:, :3]
     return seen
 
 
@@ -36,7 +45,7 @@ def test_every_task_has_a_script():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_answers_have_the_bytes_of_the_published_script(name):
-    seen = scenes(100)
+    seen = scenes()
     published = find_class(name, "script")()
     with quiet():
         wanted = np.array([published.get_action(scene.copy()) for scene in seen])
