@@ -9,7 +9,7 @@ A path that exists is meant by its whole name, whatever is in it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from glob import has_magic
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from mpdt.data.slices.join import join
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset, parse_ref
 from mpdt.errors import MissingFileError, UsageError
+from mpdt.reading import refuse_special
 
 SUFFIX = ".h5"
 
@@ -71,7 +72,7 @@ def one_ref(words: Sequence[Path | str]) -> str:
 def _files(path: Path) -> list[Path]:
     """The files that one word means."""
     if path.is_dir():
-        found = sorted(one for one in path.glob(f"*{SUFFIX}") if one.is_file())
+        found = _plain(path.glob(f"*{SUFFIX}"))
         if not found:
             raise MissingFileError(f"no {SUFFIX} file in this folder", where=str(path),
                                    hint="make one: mpdt-data list shows what can be made",
@@ -82,11 +83,22 @@ def _files(path: Path) -> list[Path]:
     word = str(path)
     if has_magic(word):
         root = Path(path.anchor)
-        fitting = root.glob(str(path.relative_to(path.anchor)))
-        found = sorted(one for one in fitting if one.is_file())
+        found = _plain(root.glob(str(path.relative_to(path.anchor))))
         if not found:
             raise MissingFileError("no file fits", where=word)
         return found
-    if "," in word:
-        return [file for one in word.split(",") if one for file in _files(Path(one))]
+    words = [one for one in word.split(",") if one]
+    if "," in word and words:
+        return [file for one in words for file in _files(Path(one))]
     return [path]
+
+
+def _plain(paths: Iterable[Path]) -> list[Path]:
+    """All but folders, in order: none is left out without a word.
+
+    Raises: MissingFileError for a link to nowhere; FormatError for a pipe, socket or device.
+    """
+    found = sorted(one for one in paths if not one.is_dir())
+    for one in found:
+        refuse_special(one)
+    return found

@@ -174,6 +174,26 @@ def test_lists_patterns_and_folders(parts: list[Path], monkeypatch: pytest.Monke
         mpdt.open("parts/a.h5,parts/c.h5")
 
 
+def test_none_of_the_files_is_left_out(parts: list[Path], tmp_path: Path) -> None:
+    """A folder with something that is no file is not the folder without it."""
+    folder = shutil.copytree(parts[0].parent, tmp_path / "d")
+    mpdt.open(folder)
+    (folder / "older").mkdir()
+    mpdt.open(f"{folder}/*")
+    dead, pipe = folder / "dead.h5", folder / "pipe.h5"
+    dead.symlink_to("nowhere")
+    for ref in (folder, f"{folder}/*.h5"):
+        with pytest.raises(MissingFileError, match=r"dead\.h5: a link that leads nowhere"):
+            mpdt.open(ref)
+    dead.unlink()
+    os.mkfifo(pipe)
+    with pytest.raises(FormatError, match=r"pipe\.h5: a named pipe, not a file"):
+        mpdt.open(folder)
+    for word in (",", ",,"):
+        with pytest.raises(MissingFileError, match="no such file"):
+            mpdt.open(word)
+
+
 @pytest.mark.parametrize(
     ("other", "message"),
     [
