@@ -85,7 +85,7 @@ def _in_range(rows: NDArray[Any], count: int, name: str, where: str) -> None:
 
 
 def _numbers(dataset: Dataset, where: str) -> None:
-    """No table holds an infinity; a return and a goal are known, where others may be NaN."""
+    """No table holds an infinity; returns and goals are known, where others may be NaN."""
     named: dict[str, Any] = {
         "/episodes/progress": dataset.episodes.progress,
         "/policies/level": dataset.policies.levels,
@@ -102,7 +102,12 @@ def _numbers(dataset: Dataset, where: str) -> None:
             for name, columns in dataset.stats_info.fields.items()
             for key, values in columns.items()
         }  # fmt: skip
-    known = {"/episodes/return": dataset.episodes.returns, "/goals/values": dataset.goals.values}
+    known: dict[str, Any] = {
+        "/episodes/return": dataset.episodes.returns,
+        "/goals/values": dataset.goals.values,
+    }
+    known |= {f"/tta/{name}/episodes/preset_return": tta.preset_return
+              for name, tta in dataset.tta.items()}  # fmt: skip
     wrong = [name for name, values in named.items() if np.isinf(values).any()]
     wrong += [name for name, values in known.items() if not np.isfinite(values).all()]
     if wrong:

@@ -204,6 +204,7 @@ def retype(name, values):
         ),
         (put("tasks/ref_zero_source", 1, "x"), "/tasks/ref_zero_source is no word of the format"),
         (put("episodes/return", 1, np.nan), "/episodes/return holds what is no number"),
+        (put("tta/default/episodes/preset_return", 0, np.nan), "preset_return holds what is no n"),
         (put("policies/level", 1, np.inf), "/policies/level holds what is no number"),
         (put("tasks/ref_expert_error", 1, -np.inf), "/tasks/ref_expert of backward holds what"),
         (put("tasks/role", 1, 3), "/tasks/role points outside its table"),
