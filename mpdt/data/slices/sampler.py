@@ -24,7 +24,7 @@ from mpdt.data.slices.windows import (
     RewardReturns,
     StepColumns,
     WindowBatch,
-    gather_windows,
+    WindowCutter,
 )
 from mpdt.errors import DataError, UsageError
 from mpdt.seeding import generator_at
@@ -98,33 +98,41 @@ class WindowSampler:
         self.start_bias, self.order = start_bias, order
         self.num_slots = min(tasks_per_update or len(tasks), len(tasks))
         self._dataset = dataset
+        self._cutter = WindowCutter(dataset, window)
         self._returns = RewardReturns(dataset, dataset.steps.rewards)
-        self._tables = []
-        lengths = np.asarray(dataset.episodes.length, np.int64)
-        for task in tasks:
-            ids = np.asarray(episode_ids.get(task, ()), np.int64)
+        self._ids = [np.asarray(episode_ids.get(task, ()), np.int64) for task in tasks]
+        for task, ids in zip(tasks, self._ids, strict=True):
             if not len(ids):
                 raise DataError(
                     "no episode to train on",
                     where=f"task row {task}",
                     hint="mpdt-data show FILE --tasks lists what each task has",
                 )
-            self._tables.append(_Table(ids, lengths[ids]))
+        self._table = _Table(self._ids, np.asarray(dataset.episodes.length, np.int64), start_bias)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For a worker: it maps the file for itself."""
+        ids = dict(zip(self.tasks.tolist(), self._ids, strict=True))
+        return WindowSampler, (
+            self._dataset, ids, self.tasks.tolist(), self.window, self.per_task, self.seed,
+            self.start_bias, self.num_slots, self.order,
+        )  # fmt: skip
+
+    def __getitem__(self, step: int) -> WindowBatch:
+        """`batch`, under the name by which torch's DataLoader asks for it."""
+        return self.batch(step)
 
     def batch(self, step: int) -> WindowBatch:
         """The windows of update `step`: (n, M, K, ...), the same on every call."""
         generator = generator_at(self.seed, step)
         slots = self._slots(step, generator)
-        episodes = np.empty((len(slots), self.per_task), np.int64)
-        starts = np.empty_like(episodes)
-        for row, slot in enumerate(slots):
-            episodes[row], starts[row] = self._tables[slot].draw(
-                generator, self.per_task, self.start_bias
-            )
-        return gather_windows(
-            self._dataset, episodes, np.maximum(starts, 0), self.window, self._returns,
-            self.tasks[slots], slots,
-        )  # fmt: skip
+        drawn = self._table.draw_at_once(generator, slots, self.per_task)
+        if drawn is None:
+            generator = generator_at(self.seed, step)
+            slots = self._slots(step, generator)
+            drawn = self._table.draw(generator, slots, self.per_task)
+        episodes, starts = drawn
+        return self._cutter.cut(episodes, starts, self._returns, self.tasks[slots], slots)
 
     def _slots(self, step: int, generator: np.random.Generator) -> NDArray[np.int64]:
         """Ascending positions of the tasks of this update."""
@@ -137,22 +145,74 @@ class WindowSampler:
 
 
 class _Table:
-    """The episodes of one task: ids (E,) and lengths (E,)."""
+    """The episodes of all tasks one after another, each as long as it has steps.
 
-    def __init__(self, ids: NDArray[np.int64], lengths: NDArray[np.int64]) -> None:
-        self._ids, self._lengths, self._ends = ids, lengths, np.cumsum(lengths)
-        self._num_steps = int(self._ends[-1])
-        self._common = int(lengths[0]) if (lengths == lengths[0]).all() else 0
+    Args:
+        ids: episodes of each task, at least one.
+        lengths: of every episode of the file.
+    """
+
+    def __init__(
+        self, ids: Sequence[NDArray[np.int64]], lengths: NDArray[np.int64], start_bias: int
+    ) -> None:
+        self._ids, self._bias = np.concatenate(ids), start_bias
+        self._lengths = lengths[self._ids]
+        self._ends = np.cumsum(self._lengths)
+        self._num_steps = np.array([lengths[own].sum() for own in ids])
+        self._before = np.cumsum(self._num_steps) - self._num_steps
+        # numpy draws nothing from a range of one number, and two words from one beyond 32 bits.
+        least = min(int(self._lengths.min()) + start_bias, int(self._num_steps.min()))
+        most = max(int(self._lengths.max()) + start_bias, int(self._num_steps.max()))
+        self._one_word_each = least > 1 and most < _WORDS
 
     def draw(
-        self, generator: np.random.Generator, count: int, start_bias: int
+        self, generator: np.random.Generator, slots: NDArray[np.int64], count: int
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Episodes (count,) and starts (count,), of which negative ones mean 0."""
-        # A uniform step of all the task's steps lies in episode i with chance ∝ length i.
-        steps = generator.integers(self._num_steps, size=count)
-        if self._common:  # the same numbers as below, in a third of the time
-            starts = generator.integers(-start_bias, self._common, size=count)
-            return self._ids[steps // self._common], starts
-        picks = np.searchsorted(self._ends, steps, side="right")
-        lowest = np.full(count, -start_bias)
-        return self._ids[picks], generator.integers(lowest, self._lengths[picks])
+        """Episodes (n, count) and starts (n, count) of the tasks at `slots`."""
+        episodes = np.empty((len(slots), count), np.int64)
+        starts = np.empty_like(episodes)
+        for row, slot in enumerate(slots):
+            # A uniform step of all the task's steps lies in episode i with chance ∝ length i.
+            steps = generator.integers(self._num_steps[slot], size=count)
+            picks = self._owners(steps + self._before[slot])
+            lowest = np.full(count, -self._bias)
+            episodes[row] = self._ids[picks]
+            starts[row] = generator.integers(lowest, self._lengths[picks])
+        return episodes, np.maximum(starts, 0)
+
+    def draw_at_once(
+        self, generator: np.random.Generator, slots: NDArray[np.int64], count: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+        """The numbers of `draw`, for all tasks at once; None where numpy would have drawn again.
+
+        A number below b is the upper half of word * b, unless the lower half is among the few
+        that would make some numbers likelier (D. Lemire, 2019).
+        """
+        if not self._one_word_each:
+            return None
+        words = generator.integers(_WORDS, size=(len(slots), 2, count), dtype=np.uint32)
+        steps = _below(words[:, 0], self._num_steps[slots][:, None])
+        if steps is None:
+            return None
+        picks = self._owners(steps + self._before[slots][:, None])
+        starts = _below(words[:, 1], self._lengths[picks] + self._bias)
+        if starts is None:
+            return None
+        return self._ids[picks], np.maximum(starts - self._bias, 0)
+
+    def _owners(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Positions of the episodes in which these steps lie."""
+        return np.searchsorted(self._ends, steps, side="right")
+
+
+_WORDS = 1 << 32
+
+
+def _below(words: NDArray[np.uint32], bound: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    """What `Generator.integers(bound)` makes of one word each; None if it wanted another word."""
+    wide = words * bound.astype(np.uint64)
+    left = wide.astype(np.uint32)
+    doubtful = left < bound
+    if doubtful.any() and (left < (_WORDS - bound) % bound).any():
+        return None
+    return (wide >> np.uint64(32)).astype(np.int64)

@@ -6,7 +6,7 @@
     start 2   ->  steps 2 3 4     mask 1 1 1
     start 4   ->  steps - - 4     mask 0 0 1      never reaches into the next episode
 
-Pads hold zeros everywhere. One indexed read per column, no Python loop over windows;
+Pads hold zeros everywhere. One copy per window and column, no Python loop over windows;
 `tests/data/slices/test_slow_twins.py` holds the slow twin.
 
 Shape legend: n tasks (or any leading axis), M windows of one task, K steps, D observation
@@ -22,6 +22,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.data.slices.spans import Spans, plain
 from mpdt.errors import ShapeError
 
 Ids = NDArray[np.int64]
@@ -29,8 +30,10 @@ Floats = NDArray[np.float32]
 Returns = Callable[[Ids, Ids], Floats]
 """(episode ids (n, M), ascending steps (n, M, K)) -> returns-to-go (n, M, K), reward units."""
 
+KEPT_STEPS = 1 << 26
+"""Of larger files `RewardReturns` keeps sums alone; 256 MB of returns."""
 SUM_EVERY = 16
-"""Steps between two sums that `RewardReturns` keeps."""
+"""Steps between two sums that it keeps then."""
 
 
 class StepColumns(Protocol):
@@ -78,6 +81,74 @@ class WindowBatch:
     starts: Ids  # (n, M) first step of each window
 
 
+class WindowCutter:
+    """Cuts windows of K steps from one source; what every batch needs is looked up once."""
+
+    def __init__(self, source: WindowSource, window: int) -> None:
+        self._length = np.asarray(source.episodes.length, np.int64)
+        self._start = np.asarray(source.episodes.start, np.int64)
+        self._obs_start = np.asarray(source.episodes.obs_start, np.int64)
+        self._observations = Spans(source.steps.observations, window)
+        self._actions = Spans(source.steps.actions, window)
+        self._places = np.arange(window)
+
+    def cut(
+        self,
+        episodes: Ids,
+        starts: Ids,
+        returns: Returns,
+        tasks: Ids | None = None,
+        slots: Ids | None = None,
+    ) -> WindowBatch:
+        """As `gather_windows`."""
+        length = self._length[episodes]
+        if episodes.shape != starts.shape or episodes.ndim != 2:
+            raise ShapeError(
+                "episodes and starts of windows disagree",
+                expected="two arrays of one shape (n, M)",
+                found=f"{episodes.shape} and {starts.shape}",
+            )
+        outside = (starts < 0) | (starts >= length)
+        if outside.any():
+            row = tuple(np.argwhere(outside)[0])
+            raise ShapeError(
+                "a window starts outside its episode",
+                where=f"episode {int(episodes[row])}",
+                expected=f"a start in [0, {int(length[row])})",
+                found=str(int(starts[row])),
+            )
+        window, n = len(self._places), len(episodes)
+        pads = np.maximum(starts + window - length, 0)
+        first = starts - pads  # the K rows that end where the window ends
+        mask = self._places >= pads[..., None]
+        step = np.maximum(first[..., None] + self._places, starts[..., None])
+        row_of_step = self._start[episodes] + first
+        observations = self._observations.at(self._obs_start[episodes] + first)
+        actions = self._actions.at(row_of_step)
+        previous = np.empty_like(actions)
+        previous[..., 1:, :] = actions[..., :-1, :]
+        previous[..., 0, :] = self._actions.row(np.maximum(row_of_step - 1, 0))
+        begins = np.flatnonzero(starts == 0)
+        previous.reshape(-1, window, actions.shape[-1])[begins, pads.reshape(-1)[begins]] = 0
+        returns_to_go = np.where(mask, returns(episodes, step), np.float32(0))
+        holes = np.flatnonzero(~mask)
+        for values in (observations, actions, previous):
+            values.reshape(-1, values.shape[-1])[holes] = 0
+        step.reshape(-1)[holes] = 0
+        return WindowBatch(
+            observations=np.asarray(observations, np.float32),
+            previous_actions=np.asarray(previous, np.float32),
+            actions=np.asarray(actions, np.float32),
+            returns_to_go=returns_to_go,
+            timesteps=step,
+            mask=mask,
+            tasks=np.arange(n) if tasks is None else tasks,
+            slots=np.arange(n) if slots is None else slots,
+            episodes=episodes,
+            starts=starts,
+        )
+
+
 def gather_windows(
     source: WindowSource,
     episodes: Ids,
@@ -90,72 +161,40 @@ def gather_windows(
     """Cut one window per entry of `episodes` (n, M), beginning at step `starts` (n, M).
 
     Raises: ShapeError if the two disagree in shape or a start lies outside its episode.
-    Does not: normalise, shuffle, or read anything outside the episodes named.
+    Does not: normalise, shuffle, or read anything but rows before a short window, which become
+        pads, and the episodes named.
     """
-    length = np.asarray(source.episodes.length, np.int64)[episodes]
-    if episodes.shape != starts.shape or episodes.ndim != 2:
-        raise ShapeError(
-            "episodes and starts of windows disagree",
-            expected="two arrays of one shape (n, M)",
-            found=f"{episodes.shape} and {starts.shape}",
-        )
-    outside = (starts < 0) | (starts >= length)
-    if outside.any():
-        row = tuple(np.argwhere(outside)[0])
-        raise ShapeError(
-            "a window starts outside its episode",
-            where=f"episode {int(episodes[row])}",
-            expected=f"a start in [0, {int(length[row])})",
-            found=str(int(starts[row])),
-        )
-    count = np.minimum(window, length - starts)
-    offset = np.arange(window) - (window - count)[..., None]
-    mask = offset >= 0
-    step = starts[..., None] + np.maximum(offset, 0)
-    row_of_step = np.asarray(source.episodes.start, np.int64)[episodes][..., None] + step
-    row_of_obs = np.asarray(source.episodes.obs_start, np.int64)[episodes][..., None] + step
-    has_previous = mask & (step > 0)
-    actions, observations = source.steps.actions, source.steps.observations
-    n = len(episodes)
-    return WindowBatch(
-        observations=_rows(observations, row_of_obs, mask),
-        previous_actions=_rows(actions, np.maximum(row_of_step - 1, 0), has_previous),
-        actions=_rows(actions, row_of_step, mask),
-        returns_to_go=np.where(mask, returns(episodes, step), np.float32(0)),
-        timesteps=np.where(mask, step, 0),
-        mask=mask,
-        tasks=np.arange(n) if tasks is None else tasks,
-        slots=np.arange(n) if slots is None else slots,
-        episodes=episodes,
-        starts=starts,
-    )
+    return WindowCutter(source, window).cut(episodes, starts, returns, tasks, slots)
 
 
 class RewardReturns:
     """`Returns` of the data: suffix sums of the rewards, what training sees.
 
+    Summed one after another from the episode's end, in float64, once an episode has been seen.
+    Of files of up to `KEPT_STEPS` steps the returns themselves are kept, 4 bytes a step; of larger
+    ones the sums at every S-th step, so that a window adds up at most S + K rewards and not the
+    whole rest of its episode: the same additions in the same order, hence the same bits.
+
         back     T-1  ...  2S  ...  S  ...  1   0      steps from the episode's end
         kept                x       x                  sums of all that lies behind, float64
-
-    Summed one after another from the episode's end, in float64. The sums at every S-th step are
-    kept once an episode has been seen, so a window adds up at most S + K rewards and not the
-    whole rest of its episode: the same additions in the same order, hence the same bits. Kept
-    are T / S numbers per episode, about as much as its row of the table.
     """
 
     def __init__(self, source: WindowSource, rewards: NDArray[Any]) -> None:
         self._start = np.asarray(source.episodes.start, np.int64)
         self._length = np.asarray(source.episodes.length, np.int64)
         self._rewards = plain(rewards)
-        places = -(-self._length // SUM_EVERY)
-        self._place = np.cumsum(places) - places
-        self._sums = np.zeros(int(places.sum()))
         self._seen = np.zeros(len(self._length), np.bool_)
+        self._keeps_all = len(rewards) <= KEPT_STEPS
+        places = self._length if self._keeps_all else -(-self._length // SUM_EVERY)
+        self._place = np.cumsum(places) - places
+        self._kept = np.zeros(int(places.sum()), np.float32 if self._keeps_all else np.float64)
 
     def __call__(self, episodes: Ids, steps: Ids) -> Floats:
         if not self._seen[episodes].all():
             for episode in np.unique(episodes[~self._seen[episodes]]):
                 self._sum_up(int(episode))
+        if self._keeps_all:
+            return np.asarray(self._kept.take(self._place[episodes][..., None] + steps), np.float32)
         start, last = self._start[episodes], self._length[episodes] - 1
         kept = (last - steps[..., -1]) // SUM_EVERY
         back = np.arange(SUM_EVERY + steps.shape[-1]) + (kept * SUM_EVERY)[..., None]
@@ -163,7 +202,7 @@ class RewardReturns:
         # Rewards before the window are added last and never looked at.
         tail = self._rewards.take(start[..., None] + np.maximum(inside, 0))
         sums = np.empty((*tail.shape[:-1], tail.shape[-1] + 1))
-        sums[..., 0], sums[..., 1:] = self._sums[self._place[episodes] + kept], tail
+        sums[..., 0], sums[..., 1:] = self._kept[self._place[episodes] + kept], tail
         np.cumsum(sums, axis=-1, out=sums)
         at = last[..., None] - steps - (kept * SUM_EVERY)[..., None] + 1
         return np.take_along_axis(sums, at, axis=-1).astype(np.float32)
@@ -173,9 +212,13 @@ class RewardReturns:
         backwards = self._rewards[start : start + length][::-1]
         sums = np.cumsum(backwards, dtype=np.float64)
         at = int(self._place[episode])
-        # Nothing lies behind the last step; -0.0 is what adds nothing to either zero.
-        self._sums[at] = -0.0
-        self._sums[at + 1 : at + -(-length // SUM_EVERY)] = sums[SUM_EVERY - 1 : -1 : SUM_EVERY]
+        if self._keeps_all:
+            self._kept[at : at + length] = sums[::-1]
+        else:
+            # Nothing lies behind the last step; -0.0 is what adds nothing to either zero.
+            self._kept[at] = -0.0
+            rest = slice(at + 1, at + -(-length // SUM_EVERY))
+            self._kept[rest] = sums[SUM_EVERY - 1 : -1 : SUM_EVERY]
         self._seen[episode] = True
 
 
@@ -216,16 +259,3 @@ def cover(lengths: NDArray[Any], episodes: Ids, window: int) -> tuple[Ids, Ids]:
     ids = np.repeat(np.asarray(episodes, np.int64), counts)
     first = np.repeat(np.cumsum(counts) - counts, counts)
     return ids, (np.arange(len(ids)) - first) * window
-
-
-def plain(values: NDArray[Any]) -> NDArray[Any]:
-    """Without the class of a map, whose every piece is made and checked as one more map. Rows of
-    several files stay what they are: as a plain array they would be a copy of them all."""
-    return np.asarray(values) if isinstance(values, np.ndarray) else values
-
-
-def _rows(values: NDArray[Any], rows: Ids, mask: NDArray[np.bool_]) -> Floats:
-    """A copy of the rows, zeros where the mask is False."""
-    kept = plain(values).take(rows, axis=0)
-    kept[~mask] = 0
-    return np.asarray(kept, dtype=np.float32)

@@ -1,11 +1,17 @@
 """The sampler: same numbers for the same (seed, step), chances ∝ length, clear refusals."""
 
+import dataclasses
+import os
+import pickle
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from makers import make_episode, make_header, source_of
 
+import mpdt
 from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
+from mpdt.data.store.writer import write_file
 from mpdt.errors import DataError, UsageError
 
 
@@ -87,3 +93,32 @@ def test_a_task_without_episodes_is_refused():
 def test_settings_out_of_range(wrong):
     with pytest.raises(UsageError, match=f"sampler.{next(iter(wrong))}: setting out of range"):
         SamplerSettings(**wrong)
+
+
+def test_a_worker_gets_the_same_batches_and_no_copy_of_the_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda handle: None)
+    episodes = [make_episode(400, float(i), (40, 8), row=i) for i in range(20)]
+    data = write_file(tmp_path / "a.h5", make_header(episodes), source_of(episodes))
+    made = mpdt.windows(data, window=5, per_task=3, seed=4)
+    made.batch(0)
+    text = pickle.dumps(made)
+    assert len(text) < 4096 < data.num_bytes / 100
+    again = pickle.loads(text)
+    for step in (0, 7):
+        for field in dataclasses.fields(made[step]):
+            one, two = (getattr(drawn[step], field.name) for drawn in (made, again))
+            assert one.dtype == two.dtype and one.tobytes() == two.tobytes(), field.name
+
+
+@pytest.mark.slow
+def test_two_spawned_workers_of_a_data_loader(tmp_path):
+    """In the order of the steps, whoever made them; a worker holds maps of the file."""
+    torch = pytest.importorskip("torch.utils.data")
+    episodes = [make_episode(400, float(i), (40, 8), row=i) for i in range(20)]
+    data = write_file(tmp_path / "a.h5", make_header(episodes), source_of(episodes))
+    made = mpdt.windows(data, window=5, per_task=3, seed=4)
+    loader = torch.DataLoader(made, batch_size=None, sampler=range(12), num_workers=2,
+                              prefetch_factor=2, multiprocessing_context="spawn")  # fmt: skip
+    for step, batch in enumerate(loader):
+        assert batch.observations.tobytes() == made.batch(step).observations.tobytes()
+    assert step == 11

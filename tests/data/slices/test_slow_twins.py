@@ -6,11 +6,14 @@ The fast paths must give the same bytes for episodes of length 1, 2, K-1, K and 
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mpdt.data.slices.sampler import WindowSampler
+from mpdt.data.slices import windows as windows_module
+from mpdt.data.slices.sampler import WindowSampler, _Table
 from mpdt.data.slices.windows import RewardReturns, cover, gather_windows
+from mpdt.seeding import generator_at
 
 HORIZON = 40  # several of the sums that `RewardReturns` keeps
 
@@ -72,11 +75,15 @@ edge_lengths = st.lists(st.sampled_from([1, 2, 3, 4, 5, 6, HORIZON]), min_size=1
 
 @settings(max_examples=60, deadline=None)
 @given(lengths=edge_lengths, K=windows, seed=st.integers(0, 99), data=st.data())
-def test_gather_equals_its_slow_twin(lengths, K, seed, data):
+@pytest.mark.parametrize("kept_steps", [1 << 26, 0])
+def test_gather_equals_its_slow_twin(kept_steps, lengths, K, seed, data):
     source = make_source(lengths, seed)
     ids = np.array([[data.draw(st.integers(0, len(lengths) - 1)) for _ in range(3)]])
     starts = np.array([[data.draw(st.integers(0, lengths[i] - 1)) for i in ids[0]]])
-    fast = gather_windows(source, ids, starts, K, RewardReturns(source, source.steps.rewards))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(windows_module, "KEPT_STEPS", kept_steps)
+        returns = RewardReturns(source, source.steps.rewards)
+    fast = gather_windows(source, ids, starts, K, returns)
     for m in range(3):
         slow = slow_window(source, source.steps.rewards, ids[0, m], int(starts[0, m]), K)
         columns = (fast.observations, fast.previous_actions, fast.actions,
@@ -128,3 +135,22 @@ def test_cover_holds_each_step_exactly_once(lengths, K):
         for t in steps[mask]
     )
     assert seen == [(i, t) for i in order for t in range(lengths[i])]
+
+
+def test_drawn_at_once_is_what_numpy_draws_or_nothing():
+    """Ranges of nearly 2^32, where numpy throws away every third word or so, and small ones."""
+    large, small = np.array([1 << 30, 7, (1 << 31) - 5]), np.array([3, 500, 41])
+    for lengths, bias in ((large, 0), (large, 9), (small, 0), (small, 3)):
+        table = _Table([np.array([0, 2]), np.array([1])], lengths, bias)
+        slots, answered = np.arange(2), 0
+        for step in range(200):
+            at_once = table.draw_at_once(generator_at(1, step), slots, 2)
+            if at_once is not None:
+                answered += 1
+                for fast, slow in zip(at_once, table.draw(generator_at(1, step), slots, 2),
+                                      strict=True):  # fmt: skip
+                    np.testing.assert_array_equal(fast, slow)
+        assert 5 < answered < 195 if lengths is large else answered == 200
+    assert (
+        _Table([np.array([0])], np.array([1]), 0).draw_at_once(generator_at(1, 0), [0], 2) is None
+    )
