@@ -2,8 +2,7 @@
 
     rows      0 1 2 3 4 5 6 7          count 3, first 4 and 1   ->   4 5 6 | 1 2 3
 
-A window's rows lie side by side in the file, so they are copied at once: reading them row by row
-takes twice as long.
+A window's rows lie side by side in the file, so one number names them all.
 """
 
 from __future__ import annotations
