@@ -73,7 +73,7 @@ def content_hash(header: Mapping[str, Any], digests: NDArray[np.uint8] | Iterabl
     """64 hex digits; `digests` is (E, 32) u1 or the 32-byte digests in canonical order."""
     state = hashlib.sha256(canonical_json(dict(header)))
     if isinstance(digests, np.ndarray):
-        state.update(np.ascontiguousarray(digests, dtype=np.uint8).tobytes())
+        state.update(np.ascontiguousarray(digests, dtype=np.uint8).data)
     else:
         for digest in digests:
             state.update(digest)

@@ -81,7 +81,8 @@ def tree_seal(tree: Tree) -> str:
         if array is not None:
             whole.update(canonical_json([_dtype_name(array.dtype), list(array.shape)]))
             if not _DIGESTED.fullmatch(path):
-                whole.update(_content(array.values))
+                for piece in _content(array.values):
+                    whole.update(piece)
     return whole.hexdigest()
 
 
@@ -91,16 +92,18 @@ _dtype_name = lru_cache(maxsize=64)(str)  # numpy takes its time
 def _attributes(tree: Tree, path: str) -> list[list[str]]:
     # A fixed order: HDF5 lists attributes as they were made.
     return [
-        [key, hashlib.sha256(_content(value)).hexdigest()]
+        [key, hashlib.sha256(b"".join(_content(value))).hexdigest()]
         for key, value in tree.attributes(path).items()
         if not (not path and key in _OUTSIDE)
     ]
 
 
-def _content(value: Any) -> bytes:
+def _content(value: Any) -> list[bytes | memoryview]:
+    """In pieces: a column of a million episodes is not copied to be put behind its type."""
     array = np.asarray(value)
     if array.dtype.kind in "OSU":  # text; damaged text may not be UTF-8
         items = [item if isinstance(item, bytes) else str(item).encode("utf-8", "surrogateescape")
                  for item in array.reshape(-1)]  # fmt: skip
-        return b"".join(len(item).to_bytes(8, "little") + item for item in items)
-    return str(array.dtype).encode() + array.tobytes()
+        return [b"".join(len(item).to_bytes(8, "little") + item for item in items)]
+    flat = np.ascontiguousarray(array).reshape(-1)
+    return [str(array.dtype).encode(), flat.view(np.uint8).data]
