@@ -6,7 +6,8 @@ Every input is written here, given to the command a user would type, in a proces
 its most memory and time are taken. Exit code 1 if one is read as good although it is not, ends
 with a traceback, takes more than `MOST_MB` or `MOST_S`. `a plain file` is what the command takes
 for an input that is as small as it looks. --forked: processes are forks of this one, which saves
-their imports and counts its memory as theirs; it is what `make test` does.
+their imports and counts its memory as theirs, the largest inputs are an eighth, and so is
+`MOST_MB` beside that; it is what `make test` does.
 """
 
 from __future__ import annotations
@@ -24,10 +25,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import small_inputs
 from small_inputs import ENTRY, INPUTS, Input
 
 Run = Callable[[tuple[str, ...]], tuple[int, str, float, float]]
 MOST_MB, MOST_S = 1000, 10.0
+OWN_MB = 120
+"""Of a fork: what it has of its parent."""
 NO_END_S = 60.0
 
 
@@ -106,7 +110,7 @@ def size_of(path: Path) -> int:
     return sum(one.stat().st_size for one in files if one.is_file())
 
 
-def look(one: Input, base: Path, run: Run) -> dict[str, Any]:
+def look(one: Input, base: Path, run: Run, most: float) -> dict[str, Any]:
     """One input in a copy of the originals."""
     with tempfile.TemporaryDirectory(dir=base) as name:
         for made in ("tiny.h5", "npz", "parquet", "minari"):
@@ -120,7 +124,7 @@ def look(one: Input, base: Path, run: Run) -> dict[str, Any]:
     error = next((line for line in said.splitlines() if line.startswith("error")), "")
     faults = [] if code == one.code else [f"exit code {code}, not {one.code}"]
     faults += ["a traceback"] * ("Traceback" in said)
-    faults += [f"{megabytes:.0f} MB"] * (megabytes > MOST_MB)
+    faults += [f"{megabytes:.0f} MB"] * (megabytes > most)
     faults += ["no end"] * (code in (-signal.SIGKILL, -signal.SIGALRM)) or [f"{seconds:.1f} s"] * (
         seconds > MOST_S
     )
@@ -138,13 +142,15 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     target = None if arguments.json is None else arguments.json.resolve()
-    rows, way = [], run_forked if arguments.forked else run
+    rows, way, most = [], run, MOST_MB
+    if arguments.forked:
+        small_inputs.SHARE, way, most = 8, run_forked, OWN_MB + MOST_MB // 8
     with tempfile.TemporaryDirectory() as name:
         os.chdir(name)
         originals(way)
         for one in INPUTS:
             if arguments.only in f"{one.words[0]} {one.name}":
-                rows.append(look(one, Path(name), way))
+                rows.append(look(one, Path(name), way, most))
                 print(json.dumps(rows[-1]), flush=True)
         os.chdir("/")
     if target is not None:

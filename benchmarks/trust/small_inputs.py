@@ -17,6 +17,8 @@ import pyarrow.parquet as pq
 
 from mpdt.data.store.seal import seal
 
+SHARE = 1
+"""What the largest are divided by; writing them takes longer than refusing them."""
 ENTRY = """schema: 1
 datasets:
   tiny: {version: "1.0.0", family: cheetah_dir, horizon: 6, seed: 5, block: 2, license: CC0-1.0,
@@ -76,7 +78,7 @@ def zeros(archive: zipfile.ZipFile, name: str, megabytes: int) -> None:
 def one_more_member() -> Path:
     path = Path(shutil.copy("npz/tiny.npz", "more.npz"))
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
-        zeros(archive, "notes", 1200)
+        zeros(archive, "notes", 1200 // SHARE)
     return path
 
 
@@ -88,13 +90,13 @@ def grown_member() -> Path:
         for info in old.infolist():
             if info.filename != "rewards.npy":
                 new.writestr(info, old.read(info))
-        zeros(new, "rewards", 1200)
+        zeros(new, "rewards", 1200 // SHARE)
     return Path("grown.npz")
 
 
 def equal_rows() -> Path:
     folder = Path(shutil.copytree("parquet", "rows"))
-    many = 200_000_000
+    many = 200_000_000 // SHARE
     kinds = {"dim": pa.int32(), "task": pa.int32()}
     columns = {name: pa.chunked_array([pa.repeat(pa.scalar(0, kind), 1_000_000)] * (many // 10**6))
                for name, kind in kinds.items()}  # fmt: skip
