@@ -44,23 +44,21 @@ def test_a_reader_that_leaves_ends_the_command_quietly(code: str, words: list[st
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize(
-    ("code", "words"),
-    [
-        (RUN.format("mpdt.data.cli"), ["--help"]), (RUN.format("mpdt.data.cli"), ["list"]),
-        (RUN.format("mpdt.data.cli"), ["list", "--json"]),
-        (RUN.format("mpdt.train.cli"), ["--help"]), (RUN.format("mpdt.train.cli"), ["methods"]),
-    ],
-)  # fmt: skip
-@pytest.mark.parametrize(
-    ("where", "found"),
-    [(">/dev/full", "No space left on device"), (">&-", "Bad file descriptor"),
-     (">/dev/full 2>&-", ""), (">&- 2>/dev/full <&-", "")],
-)  # fmt: skip
+FULL, CLOSED = (">/dev/full", "No space left on device"), (">&-", "Bad file descriptor")
+SILENT = ((">/dev/full 2>&-", ""), (">&- 2>/dev/full <&-", ""))
+
+
+# Every command on a full disk, both programs closed and silent.
+@pytest.mark.parametrize(("program", "words", "where", "found"), [
+    *(("data", words, *FULL) for words in (["--help"], ["list"], ["list", "--json"])),
+    ("train", ["methods"], *FULL),
+    *((program, ["--help"], *how) for program in ("data", "train") for how in (CLOSED, *SILENT)),
+    ("data", ["list"], *CLOSED),
+])  # fmt: skip
 def test_a_stdout_that_cannot_be_written_is_one_error(
-    code: str, words: list[str], where: str, found: str
+    program: str, words: list[str], where: str, found: str
 ) -> None:
-    done = in_shell(code, words, where)
+    done = in_shell(RUN.format(f"mpdt.{program}.cli"), words, where)
     said = f"error: stdout: cannot be written; found {found}\n" if found else ""
     assert (done.returncode, done.stdout, done.stderr) == (1, "", said)
 

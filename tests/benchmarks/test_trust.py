@@ -23,7 +23,7 @@ def run(script: str, target: Path, *options: str) -> Any:
 
 @pytest.mark.long
 def test_three_kills(tmp_path: Path) -> None:
-    found = run("torture.py", tmp_path / "x.json", "--kills", "3", "--seed", "2", "--size", "0.25")
+    found = run("torture.py", tmp_path / "x.json", "--kills", "3", "--seed", "2", "--size", "0.1")
     assert found["kills"] == 3
     assert found["finished files compared"] >= 1
 

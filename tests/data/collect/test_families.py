@@ -82,8 +82,15 @@ def small(name: str) -> DatasetSpec:
     )  # fmt: skip
 
 
+# Of two families that differ in their tasks alone one is slow.
+ALIKE = ("cheetah_vel", "ml45", "mt10")
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("name", LOCOMOTION + METAWORLD)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=pytest.mark.slow) if name in ALIKE else name
+    for name in LOCOMOTION + METAWORLD
+])  # fmt: skip
 def test_one_and_two_workers_make_the_same_file(name: str, tmp_path: Path) -> None:
     found = set()
     for workers in (1, 2):

@@ -121,10 +121,14 @@ def test_pipes_sockets_and_dead_links_among_the_files(tmp_path: Path) -> None:
     end.close()
 
 
-@pytest.mark.parametrize("name", ["x.h5", "datasets.yaml", "datasets.lock"])
-@pytest.mark.parametrize("words", [("list",), ("show", "x.h5"), ("verify", "x.h5", "--locked"),
-                                   ("split", "x.h5", "--quality", "expert"), ("lock",),
-                                   ("plan", "cheetah_dir")])  # fmt: skip
+# Each name with every command that opens it.
+@pytest.mark.parametrize(("name", "words"), [
+    *((name, ("list",)) for name in ("x.h5", "datasets.yaml", "datasets.lock")),
+    *(("x.h5", words) for words in (("show", "x.h5"), ("verify", "x.h5", "--locked"),
+                                    ("split", "x.h5", "--quality", "expert"))),
+    *((name, ("lock",)) for name in ("datasets.yaml", "datasets.lock")),
+    ("datasets.yaml", ("plan", "cheetah_dir")), ("datasets.lock", ("verify", "x.h5", "--locked")),
+])  # fmt: skip
 def test_no_command_waits_for_a_pipe(run: Make, name: str, words: tuple[str, ...]) -> None:
     os.mkfifo(name)
     run(*words)  # that it comes back is the test
