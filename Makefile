@@ -21,6 +21,10 @@ BIN := .venv/bin
 # Small matrix products are slower, and with several workers far slower, on many BLAS threads.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# The tests start hundreds of processes, which would each compile every module anew.
+unexport PYTHONDONTWRITEBYTECODE
+# One more than there are cores: some tests wait for a server or for another process.
+TESTERS ?= $(shell expr $$(env -u OMP_NUM_THREADS nproc) + 1)
 
 BENCHES := starting collecting metaworld_steps storing sampling training acting pretraining \
   remembering growing
@@ -48,7 +52,7 @@ demo: .venv/ready
 	$(BIN)/python tools/act.py demo/runs/cheetah_dir-demo/policy
 
 test: .venv/ready
-	$(BIN)/pytest -n auto --dist worksteal
+	$(BIN)/pytest -n $(TESTERS) --dist worksteal
 
 check: .venv/ready
 	$(BIN)/ruff check .
