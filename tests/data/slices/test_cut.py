@@ -9,6 +9,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -181,6 +182,23 @@ def test_split_without_a_file_takes_every_family_file(tiny_file: Path) -> None:
     assert [line.partition(":")[0] for line in skipped] == ["broken.h5"]
     found = sorted(path.name for path in tiny_file.parent.glob("*.h5"))
     assert found == sorted([*names, "broken.h5", "second.h5", "tiny.h5"])
+
+
+def test_split_without_a_file_goes_on_behind_a_damaged_one(tiny_file: Path) -> None:
+    other = tiny_file.with_name("second.h5")
+    shutil.copy(tiny_file, other)
+    with h5py.File(other) as file:
+        at = file["steps/rewards"].id.get_offset()
+        end = at + file["steps/rewards"].nbytes
+    content = bytearray(other.read_bytes())
+    content[at:end] = bytes(end - at)
+    other.write_bytes(content)
+    skipped: list[str] = []
+    (one,) = split(None, Cut(quality="medium"), on_skip=skipped.append)
+    assert one.path.name == "tiny-medium.h5" and "second.h5" in skipped[0]
+    tiny_file.unlink()
+    with pytest.raises(DataError, match=r"second\.h5"):
+        split(None, Cut(quality="medium"))
 
 
 def test_split_without_any_file_names_collect(workplace: Path) -> None:

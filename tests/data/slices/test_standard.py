@@ -5,6 +5,7 @@ tiny.h5: per task four history episodes of progress 0, 0, 0.5, 1 (ids 12-15 and 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,15 @@ def test_paper_levels_by_hand(data: Dataset) -> None:
     assert data.slice_rules["paper-mixed"]["equal_parts"] == [
         "paper-random", "paper-medium", "paper-expert",
     ]  # fmt: skip
+
+
+def test_training_and_test_tasks(data: Dataset) -> None:
+    """Both tasks of tiny.h5 are both; here one of them is of one kind."""
+    assert data.tasks.train_rows == data.tasks.test_rows == [0, 1]
+    apart = replace(data, tasks=replace(data.tasks, roles=np.array([0, 1], np.int8)))
+    found = standard_slices(apart)
+    assert set(data.episodes.task[found["train"].ids]) == {0}
+    assert set(data.episodes.task[found["test"].ids]) == {1}
 
 
 def test_the_mixed_part_of_a_level_is_the_few_shot_choice(data: Dataset) -> None:

@@ -23,6 +23,8 @@ def test_machine_names_its_kind_and_nobody():
     found = provenance.machine()
     assert found["arch"] == platform.machine()
     assert all(found.values())
+    if "model name" in (known := Path("/proc/cpuinfo").read_text()):
+        assert f": {found['cpu']}\n" in known
     text = " ".join(found.values())
     for private in (platform.node(), getpass.getuser(), str(Path.home())):
         assert private not in text

@@ -18,6 +18,8 @@ CHANGES: dict[str, Callable[[h5py.File], None]] = {
     "a number of a table": lambda f: f["tasks/ref_random"].write_direct(np.array([7.0, -1.0])),
     "a bit of a number": lambda f: _flip(f["goals/values"]),
     "a name": lambda f: f["policies/name"].__setitem__(0, "other"),
+    "a letter from one name to the next": lambda f: _shift(f["tasks/name"]),
+    "an attribute like one of the root": lambda f: f["tasks"].attrs.__setitem__("complete", 1),
     "a version": lambda f: f.attrs.__setitem__("version", "9.0.0"),
     "a licence": lambda f: f.attrs.__setitem__("license", "x"),
     "an attribute of a column": lambda f: f["episodes/quality"].attrs.__setitem__("codes", "{}"),
@@ -32,6 +34,11 @@ def _flip(array: h5py.Dataset) -> None:
     values = array[()]
     values.view(np.uint8).reshape(-1)[0] ^= 1
     array[...] = values
+
+
+def _shift(array: h5py.Dataset) -> None:
+    one, two = array[:2]
+    array[0], array[1] = one + two[:1], two[1:]
 
 
 def _retype(file: h5py.File, name: str) -> None:

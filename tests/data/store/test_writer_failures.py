@@ -69,6 +69,14 @@ def test_what_was_written_is_read_back(made, kit, monkeypatch):
     assert made.content_hash == open_dataset(made.path).content_hash
 
 
+def test_what_was_written_last_is_read_back_as_well(made, kit, monkeypatch):
+    before = made.path.read_bytes()
+    monkeypatch.setattr(writer, "seal", lambda file: file.attrs.__setitem__("seal", "0" * 64))
+    with pytest.raises(FormatError, match="the seal is broken"):
+        write_file(made.path, kit.header, kit.source())
+    assert made.path.read_bytes() == before
+
+
 def test_a_folder_that_takes_no_files(tmp_path, kit):
     with pytest.raises(StorageError, match="folder does not exist"):
         write_file(tmp_path / "no" / "a.h5", kit.header, kit.source())
