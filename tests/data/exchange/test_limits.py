@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.hdf5 import array
 from mpdt.errors import FormatError, MissingFileError
 
 Make = Callable[..., Any]
@@ -132,6 +133,17 @@ def test_pipes_sockets_and_dead_links_among_the_files(tmp_path: Path) -> None:
 def test_no_command_waits_for_a_pipe(run: Make, name: str, words: tuple[str, ...]) -> None:
     os.mkfifo(name)
     run(*words)  # that it comes back is the test
+
+
+def test_a_few_stored_numbers_do_not_stand_for_millions(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "x.hdf5", "w") as file:
+        rows = file.create_dataset("a", (10**7,), "<f4", chunks=(10**5,), compression="gzip")
+        rows[: 10**5] = 0
+        with pytest.raises(FormatError, match="a is larger than its file can hold"):
+            array(file, "a", "x")
+        dense = file.create_dataset("b", (10**5,), "<f4", compression="gzip")
+        dense[:] = np.arange(10**5)
+        assert array(file, "b", "x").sum() == dense[:].sum()
 
 
 def test_metadata_without_end(run: Make, exported: Make) -> None:

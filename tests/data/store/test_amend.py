@@ -12,6 +12,8 @@ from mpdt.data.store.inherit import episodes_of, header_of, tta_of
 from mpdt.data.store.reader import open_dataset, open_tta_rewards
 from mpdt.data.store.ttaset import tta_episodes, unlabelled
 from mpdt.data.store.writer import TtaSource, check_digests, write_file
+from mpdt.data.verify.finding import Outcome
+from mpdt.data.verify.verify import verify
 from mpdt.errors import DataError, UsageError
 
 
@@ -91,6 +93,13 @@ def test_preset_and_rule_are_part_of_the_set(made, kit):
         added = add_tta(made.path, "x", replace(kit.tta(), **change))
         hashes.add(added.tta["x"].content_hash)
     assert len(hashes) == 3
+
+
+def test_a_preset_that_no_float32_is_is_found_again(made, kit):
+    """0.1 counts as it was typed, though the file keeps what is next to it."""
+    added = add_tta(made.path, "x", replace(kit.tta(), preset_returns={0: 0.1, 1: 1.0}))
+    (finding,) = verify(added.path, only=("hash",)).findings
+    assert finding.outcome is Outcome.PASS, finding
 
 
 def test_tta_needs_a_preset_per_task(made, kit):
