@@ -58,6 +58,8 @@ def test_lengths_beyond_the_file_are_refused_without_their_memory(data: bytes) -
 def test_an_array_and_its_bytes_that_disagree() -> None:
     with pytest.raises(FormatError, match=r"array of shape \(2,\) of float32 has 4 bytes"):
         load_bytes(array_with(b"K\x02\x85", b"C\x04abcd"), "x.pkl")
+    with pytest.raises(FormatError, match=r"array of shape \(2,\) of float32 has 12 bytes"):
+        load_bytes(array_with(b"K\x02\x85", b"C\x0cabcdabcdabcd"), "x.pkl")
 
 
 def test_one_text_copied_again_and_again_does_not_fill_the_memory() -> None:
@@ -181,6 +183,9 @@ def test_a_numeric_npy_is_none_of_dicts(tmp_path: Path) -> None:
     np.save(tmp_path / "numbers.npy", np.arange(3))
     with pytest.raises(FormatError, match="<i8"):
         load_object_array(tmp_path / "numbers.npy")
+    np.save(tmp_path / "square.npy", np.full((2, 2), {}, dtype=object), allow_pickle=True)
+    with pytest.raises(FormatError, match=r"not an \.npy file of dicts"):
+        load_object_array(tmp_path / "square.npy")
 
 
 def test_damage_never_ends_in_anything_but_a_format_error() -> None:
