@@ -183,7 +183,10 @@ def test_a_numeric_npy_is_none_of_dicts(tmp_path: Path) -> None:
     np.save(tmp_path / "numbers.npy", np.arange(3))
     with pytest.raises(FormatError, match="<i8"):
         load_object_array(tmp_path / "numbers.npy")
-    np.save(tmp_path / "square.npy", np.full((2, 2), {}, dtype=object), allow_pickle=True)
+    np.save(tmp_path / "square.npy", np.full(2, {}, dtype=object), allow_pickle=True)
+    head = (tmp_path / "square.npy").read_bytes().partition(b"\n")[0] + b"\n"  # of one dimension
+    square = pickle.dumps(np.full((2, 2), {}, dtype=object))
+    (tmp_path / "square.npy").write_bytes(head + square)
     with pytest.raises(FormatError, match=r"not an \.npy file of dicts"):
         load_object_array(tmp_path / "square.npy")
 
