@@ -23,8 +23,6 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 # The tests start hundreds of processes, which would each compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
-# One more than there are cores: some tests wait for a server or for another process.
-TESTERS ?= $(shell expr $$(env -u OMP_NUM_THREADS nproc) + 1)
 
 BENCHES := starting collecting metaworld_steps storing sampling training acting pretraining \
   remembering growing
@@ -52,7 +50,7 @@ demo: .venv/ready
 	$(BIN)/python tools/act.py demo/runs/cheetah_dir-demo/policy
 
 test: .venv/ready
-	$(BIN)/pytest -n $(TESTERS) --dist worksteal
+	$(BIN)/pytest -n auto --dist worksteal
 
 check: .venv/ready
 	$(BIN)/ruff check .
