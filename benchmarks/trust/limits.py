@@ -20,11 +20,11 @@ import subprocess
 import sys
 import tempfile
 import time
-import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import forks
 import small_inputs
 from small_inputs import ENTRY, INPUTS, Input
 
@@ -65,24 +65,8 @@ def run(words: tuple[str, ...]) -> tuple[int, str, float, float]:
 
 def run_forked(words: tuple[str, ...]) -> tuple[int, str, float, float]:
     """As `run`, by a fork that has every module already."""
-    from mpdt.data.cli import main
-
     began, said = time.monotonic(), Path("said")
-    pid = os.fork()
-    if pid == 0:
-        code = 70
-        try:
-            signal.alarm(int(NO_END_S))
-            handle = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-            os.dup2(handle, 1)
-            os.dup2(handle, 2)
-            code = main(list(words))
-        except BaseException:  # noqa: BLE001  it is shown, and counted
-            traceback.print_exc()
-        finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(code)
+    pid = forks.start(words, said, Path.cwd(), limit_s=NO_END_S)
     _, status, used = os.wait4(pid, 0)
     text = said.read_text(errors="replace")
     said.unlink()

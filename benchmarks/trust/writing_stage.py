@@ -9,12 +9,12 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import forks
 import numpy as np
 from writing_commands import COMMANDS, ENTRY, TRAINING
 
@@ -90,21 +90,7 @@ class Stage:
             name if word == "N" else word.replace("S/", f"{self.sources}/")
             for word in COMMANDS[kind].words.replace("QUICK", TRAINING).split()
         ]  # fmt: skip
-        pid = os.fork()
-        if pid == 0:
-            code = 70
-            try:
-                _become(words, said, self.place)
-                time.sleep(delay_s)
-                code = _answer(words)
-            except BaseException:  # noqa: BLE001  it is shown, and counted
-                import traceback
-
-                traceback.print_exc()
-            finally:
-                sys.stdout.flush()
-                sys.stderr.flush()
-                os._exit(code)
+        pid = forks.start(words, said, self.place.parent, delay_s)
         return Job(kind, name, pid, said)
 
     def measure(self, kind: str) -> None:
@@ -130,30 +116,6 @@ class Stage:
             return False
 
 
-def _become(words: list[str], said: Path, place: Path) -> None:
-    """In the fork: its own output, arguments and folder."""
-    handle = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-    os.dup2(handle, 1)
-    os.dup2(handle, 2)
-    os.chdir(place.parent)
-    program = "mpdt-train" if words[0] == "TRAIN" else "mpdt-data"
-    sys.argv = [program, *words]
-
-
-def _answer(words: list[str]) -> int:
-    if words[0] != "TRAIN":
-        from mpdt.data.cli import main
-
-        return main(words)
-    from mpdt.train.cli import main as train
-
-    try:
-        train(words[1:])
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
-
-
 def prepare(folder: Path, random: np.random.Generator, training: bool) -> Stage:
     """A stage with its sources."""
     stage = Stage(folder / "sources", folder / "place", random)
@@ -170,11 +132,7 @@ def prepare(folder: Path, random: np.random.Generator, training: bool) -> Stage:
         f"TRAIN --data {here}cd.h5 --runs-dir {stage.sources} --name run {TRAINING}",
     ]
     for text in texts[: None if training else -1]:
-        pid = os.fork()
-        if pid == 0:
-            _become(text.split(), folder / "said", stage.place)
-            os._exit(_answer(text.split()))
-        if os.waitpid(pid, 0)[1]:
+        if os.waitpid(forks.start(text.split(), folder / "said", folder), 0)[1]:
             raise SystemExit(f"FAIL: {text}\n{(folder / 'said').read_text()}")
     (stage.sources / "datasets.lock").unlink(missing_ok=True)
     return stage
