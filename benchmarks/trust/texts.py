@@ -228,9 +228,8 @@ def judge(code: int, text: str) -> str:
         return "read"
     if code not in (1, 2, 3, 4):
         return f"CODE {code}"
-    if len(re.findall(r"^(?:error|.*\berror\b)[:]", text, re.MULTILINE)) == 0 and not text.strip():
-        return f"SILENT {code}"
-    return "error"
+    lines = re.findall(r"^error: ", text, re.MULTILINE)
+    return "error" if len(lines) == 1 else f"{len(lines)} ERRORS" if lines else f"SILENT {code}"
 
 
 def copy_needed(whole: Path, copy: Path, said: str) -> None:
