@@ -21,11 +21,12 @@ import h5py
 import numpy as np
 import pytest
 
+from mpdt.data.remote.place import Place
 from mpdt.data.remote.pull import pull
 from mpdt.data.remote.push import push
 from mpdt.data.remote.sums import FILE_NAME
 from mpdt.data.store.reader import open_dataset
-from mpdt.errors import DataError, RemoteError, StorageError
+from mpdt.errors import DataError, MissingFileError, RemoteError, StorageError
 
 Run = Callable[..., tuple[int, str, str]]
 Wire = Any
@@ -321,6 +322,18 @@ def test_mistakes_are_one_clear_error(
     found, out, err = run(*words)
     assert found == code and text in err and not out
     assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize("sign", ["?sig=ab", ";sig=ab"])
+def test_nothing_is_looked_for_beside_a_signed_address(
+    monkeypatch: pytest.MonkeyPatch, workplace: Path, sign: str
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(Place, "state", lambda self, path: None)
+    monkeypatch.setattr(Place, "read", lambda self, path: asked.append(path))
+    with pytest.raises(MissingFileError, match="no file there"):
+        pull(f"https://host.example/x.h5{sign}")
+    assert asked == []
 
 
 def test_a_server_that_sends_more_than_it_announced(run: Run) -> None:
