@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import socket
 import uuid
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import suppress
 from typing import Any, TypeVar
 
@@ -70,11 +70,16 @@ def map_blocks_ray(
                 ]
                 yield _result(ray, done)
         finally:
-            for left in flying:
-                with suppress(ray.exceptions.RayError):
-                    ray.cancel(left, force=True)
+            cancel(ray, flying)
     finally:
         ray.shutdown()
+
+
+def cancel(ray: Any, flying: Iterable[Any]) -> None:
+    """End tasks that nobody waits for any more."""
+    for left in flying:
+        with suppress(ray.exceptions.RayError):
+            ray.cancel(left, force=True)
 
 
 def connect(address: str | None) -> Any:

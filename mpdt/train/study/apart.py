@@ -89,8 +89,9 @@ def run_apart(
                 live.say(f"{child.cell.name} begins, process {child.process.pid}")
             for pipe in wait(list(running), _LOOK_EVERY_S):
                 assert isinstance(pipe, Connection)
-                if (outcome := running[pipe].hear()) is not None:
+                if (outcome := running[pipe].hear(live)) is not None:
                     running.pop(pipe).process.join()
+                    pipe.close()
                     yield outcome
             live.show({child.cell.name: child.line for child in running.values()})
             stop.check()
@@ -110,7 +111,7 @@ def run_on_ray(
     Raises: SimulatorError without Ray or cluster; Stopped after a signal, when cells that run go
         on from their last checkpoint by the same command.
     """
-    from mpdt.data.workers.ray import RETRIES, connect
+    from mpdt.data.workers.ray import RETRIES, cancel, connect
 
     there = Places(*(p.resolve() for p in (places.data, places.runs, places.results)))
     waiting = yield from _to_do(cells, there, restart)
@@ -126,20 +127,22 @@ def run_on_ray(
             for cell in waiting
         }  # fmt: skip
         lines: dict[str, str] = {}
+        heard = 0
         try:
             while flying:
                 done, _ = ray.wait(list(flying), num_returns=1, timeout=_LOOK_EVERY_S)
                 for one in done:
                     yield _landed(ray, one, flying.pop(one), there)
                 with suppress(ray.exceptions.RayError):  # it moves with the node that it is on
-                    lines = ray.get(board.read.remote(), timeout=_LOOK_EVERY_S)
+                    lines, said = ray.get(board.read.remote(heard), timeout=_LOOK_EVERY_S)
+                    heard += len(said)
+                    for text in said:
+                        live.say(text)
                 names = {cell.name for cell in flying.values()}
                 live.show({name: line for name, line in lines.items() if name in names})
                 stop.check()
         finally:
-            for left in flying:
-                with suppress(ray.exceptions.RayError):
-                    ray.cancel(left, force=True)
+            cancel(ray, flying)
     finally:
         ray.shutdown()
 
@@ -158,15 +161,23 @@ def _to_do(
     return waiting
 
 
+@dataclass(frozen=True)
+class _Said:
+    """A line of its own, beside those that show where a cell is."""
+
+    text: str
+
+
 class _Telling(Progress):
     """Sends its lines to the parent."""
 
-    def __init__(self, send: Callable[[str], None], stop: StopRequest) -> None:
+    def __init__(self, name: str, send: Callable[[str | _Said], None], stop: StopRequest) -> None:
         super().__init__(stop=stop)
-        self._send = send
+        self._name, self._send = name, send
 
     def say(self, text: str) -> None:
-        """What a run says of itself stands in its results as well."""
+        for line in text.splitlines():
+            self._send(_Said(f"{self._name}  {line}"))
 
     def write(self, line: str, last: bool) -> None:
         self._send(line)
@@ -193,7 +204,7 @@ class _Child:
         theirs.close()
         return cls(cell, process, ours)
 
-    def hear(self) -> Outcome | None:
+    def hear(self, live: Live) -> Outcome | None:
         """Take what it sent; its outcome, if that was it or nothing more can come."""
         try:
             said = self.pipe.recv()
@@ -202,7 +213,10 @@ class _Child:
             return Outcome(self.cell, "failed", _death(self.process.exitcode))
         if isinstance(said, Outcome):
             return said
-        self.line = said
+        if isinstance(said, _Said):
+            live.say(said.text)
+        else:
+            self.line = said
         return None
 
 
@@ -217,7 +231,7 @@ def _work(pipe: Connection, cell: Cell, places: Places, restart: bool) -> None:
     """Main of a cell's process."""
     threading.Thread(target=end_with_parent, daemon=True).start()
     with suppress(Stopped, BrokenPipeError), StopRequest().listening() as stop:
-        pipe.send(_outcome(cell, places, restart, _Telling(pipe.send, stop)))
+        pipe.send(_outcome(cell, places, restart, _Telling(cell.name, pipe.send, stop)))
 
 
 def _outcome(cell: Cell, places: Places, restart: bool, progress: Progress) -> Outcome:
@@ -233,25 +247,30 @@ def _outcome(cell: Cell, places: Places, restart: bool, progress: Progress) -> O
 
 
 class _Board:
-    """An actor that keeps the latest line of every cell."""
+    """An actor that keeps the latest line of every cell, and whatever was said."""
 
     def __init__(self) -> None:
         self._lines: dict[str, str] = {}
+        self._said: list[str] = []
 
-    def put(self, name: str, line: str) -> None:
-        self._lines[name] = line
+    def put(self, name: str, line: str | _Said) -> None:
+        if isinstance(line, _Said):
+            self._said.append(line.text)
+        else:
+            self._lines[name] = line
 
-    def read(self) -> dict[str, str]:
-        return self._lines
+    def read(self, heard: int) -> tuple[dict[str, str], list[str]]:
+        """Where every cell is, and what was said behind the first `heard`."""
+        return self._lines, self._said[heard:]
 
 
 def _task(cell: Cell, places: Places, restart: bool, board: Any) -> Outcome:
     """Main of a cell's task. What was begun before its node was lost is gone on with."""
 
-    def send(line: str) -> None:
+    def send(line: str | _Said) -> None:
         board.put.remote(cell.name, line)
 
-    return _outcome(cell, places, restart, _Telling(send, StopRequest()))
+    return _outcome(cell, places, restart, _Telling(cell.name, send, StopRequest()))
 
 
 def _landed(ray: Any, done: Any, cell: Cell, places: Places) -> Outcome:

@@ -13,19 +13,11 @@ from mpdt.errors import SimulatorError, UsageError
 from mpdt.train.cli import main
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.stop import Stopped, StopRequest
-from mpdt.train.study import plans
+from mpdt.train.study import apart, plans
 from mpdt.train.study.apart import Engine, run_apart, run_cells, run_on_ray
 from mpdt.train.study.live import Live
-from mpdt.train.study.plans import Cell
 from mpdt.train.study.study import Places, run_study
-
-TINY = {
-    "inputs": {"time_table": 16}, "evaluation": {"horizon": 3, "episodes": 2},
-    "statistics": {"batches": 1}, "adapt": {"steps": 1}, "multitask": {"steps": 2},
-}  # fmt: skip
-ONE = Cell("tiny", "Soft-Prompt-TTA", preset="smoke", changes=TINY)
-TWO = Cell("tiny", "MPDT-no-distillation", 1, "short", "smoke", TINY)
-ABSENT = Cell("nowhere", "MPDT", preset="smoke")
+from tests.train.study.test_study import ABSENT, BROKEN, ONE, TWO
 
 
 class Told(Live):
@@ -62,10 +54,12 @@ def test_a_killed_process_fails_its_own_cell_and_the_others_go_on(places, tmp_pa
         if name == ONE.name:
             os.kill(pid, signal.SIGKILL)
 
+    said = Told(kill)
     found = {
         one.cell.name: one
-        for one in run_apart([ONE, ABSENT, TWO], places, StopRequest(), Told(kill), workers=2)
+        for one in run_apart([ONE, ABSENT, TWO], places, StopRequest(), said, workers=2)
     }
+    assert any(line.startswith(f"{TWO.name}  written to ") for line in said.lines)
     assert {name: one.state for name, one in found.items()} == {
         ONE.name: "failed", ABSENT.name: "no data", TWO.name: "done"
     }  # fmt: skip
@@ -74,6 +68,21 @@ def test_a_killed_process_fails_its_own_cell_and_the_others_go_on(places, tmp_pa
     again = run_apart([TWO], places, StopRequest(), told := Told(), workers=2)
     assert [one.state for one in again] == ["done"]
     assert not told.lines  # nothing is begun for what is done
+
+
+def test_what_a_cell_says_reaches_the_parent(places):
+    """Its error with the hint too, and where it is."""
+    sent = []
+    telling = apart._Telling(BROKEN.name, sent.append, StopRequest())
+    assert apart._outcome(BROKEN, places, False, telling).state == "failed"
+    said = [one.text for one in sent if isinstance(one, apart._Said)]
+    assert any(line.startswith(f"{BROKEN.name}  error: ") for line in said)
+    assert any(line.startswith(f"{BROKEN.name}  hint: ") for line in said)
+    board = apart._Board()
+    for one in [*sent, "student 1/2"]:
+        board.put("a", one)
+    assert board.read(0) == ({"a": "student 1/2"}, said)
+    assert board.read(len(said)) == ({"a": "student 1/2"}, [])
 
 
 def test_a_signal_ends_every_process(places):
@@ -85,7 +94,7 @@ def test_a_signal_ends_every_process(places):
 
     with pytest.raises(Stopped):
         list(run_apart([ONE, TWO], places, stop, Told(ask), workers=2))
-    assert len(pids) == 2
+    assert len(pids) == 2 and not places.results.exists(), "none ran to its end"
     for pid in pids:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
