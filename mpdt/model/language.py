@@ -69,7 +69,7 @@ _SHAPES: dict[str, dict[str, Any]] = {
 def pick_dtype(dtype: DtypeName) -> torch.dtype:
     """`auto` is bfloat16 only where the processor has instructions for it."""
     if dtype == "auto":
-        return torch.bfloat16 if _native_bfloat16() else torch.float32
+        return torch.bfloat16 if native_bfloat16() else torch.float32
     return {"float32": torch.float32, "bfloat16": torch.bfloat16}[dtype]
 
 
@@ -100,7 +100,8 @@ def _hash_tensors(tensors: Mapping[str, Tensor]) -> str:
     return digest.hexdigest()
 
 
-def _native_bfloat16() -> bool:
+def native_bfloat16() -> bool:
+    """Whether this processor has instructions for products of bfloat16."""
     return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
 
 

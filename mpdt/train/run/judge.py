@@ -8,12 +8,13 @@ Seeds and the rows beside the method are those of `bench.py`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import msgspec
 
-from mpdt.train.adapt.candidates import Candidates
+from mpdt.train.adapt.candidates import Candidate, Candidates
 from mpdt.train.bundle.contents import ActingPrompts, own_prompts, prompts_of
 from mpdt.train.bundle.format import OWN
 from mpdt.train.evaluate.controller import TrainedActor
@@ -35,6 +36,7 @@ class Judge:
         keeper: keeps the episodes of the method's rows, each row in a file; None = nobody does.
     Attributes:
         acting: the prompts that `scores` has judged.
+        adaptation_s: what making the candidates took.
     """
 
     trained: Trained
@@ -43,6 +45,7 @@ class Judge:
     log: MetricsLog | None = None
     keeper: Keeper | None = None
     acting: list[ActingPrompts] = field(default_factory=list)
+    adaptation_s: float = 0.0
 
     def __post_init__(self) -> None:
         self.bench = Bench(self.trained.material, self.config.evaluation, self.progress)
@@ -71,13 +74,24 @@ class Judge:
             scores += [msgspec.structs.replace(score, block="test") for score in references]
         else:
             scores += self.bench.references("test", material.test_rows)
-        for candidate in candidates:
+        for candidate in self._adapted(candidates):
             self.acting.append(prompts_of(candidate, material.test_rows, candidates.returns))
             scores += self._score(
                 "test", f"{config.method} {candidate.label}", candidate.name, material.test_rows,
                 candidate.controller, candidate.reads,
             )  # fmt: skip
         return with_verdicts(scores)
+
+    def _adapted(self, candidates: Candidates) -> Iterator[Candidate]:
+        """Each as soon as it is made; what making it took is added up."""
+        following = iter(candidates)
+        while True:
+            began_s = time.monotonic()
+            candidate = next(following, None)
+            self.adaptation_s += time.monotonic() - began_s
+            if candidate is None:
+                return
+            yield candidate
 
     def _score(
         self,

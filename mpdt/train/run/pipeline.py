@@ -144,17 +144,20 @@ def _proving(prepared: Prepared, progress: Progress) -> Iterator[BackgroundProof
 def _train_and_judge(trainer: Trainer, keeper: Keeper | None = None) -> dict[str, Any]:
     """The content of results.json, written."""
     prepared, folder, progress = trainer.learner.prepared, trainer.folder, trainer.progress
-    began_s, name = time.monotonic(), folder.path.name
+    name = folder.path.name
     trained = trainer.train()
     trained_s = Spent(folder).training_s
     trainer.group.leave()
     if not trained.complete:
         progress.say(f"training ended by --time-limit-s: {_updates(trained)}")
+    began_s = time.monotonic()
     judge = Judge(trained, prepared.config, progress, folder.log, keeper)
     scores = judge.scores()
+    judging_s = time.monotonic() - began_s - judge.adaptation_s
     if trainer.proof is not None:
         trainer.proof.finish()  # also where nothing was left to train
-    seconds = {"training": trained_s, "all": time.monotonic() - began_s}
+    parts = {"training": trained_s, "adaptation": judge.adaptation_s, "judging": judging_s}
+    seconds = {**parts, "all": sum(parts.values())}
     header = results_header(name, prepared, trained, seconds)
     content = encode_results(header, scores)
     backbone = trained.policy.backbone

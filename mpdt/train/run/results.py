@@ -20,6 +20,7 @@ from mpdt.train.fit.trained import Trained
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder
 from mpdt.train.run.identity import files_of
+from mpdt.train.run.machine import machine
 from mpdt.train.run.prepare import Prepared
 
 _AGAIN = "move it away; the same mpdt-train command judges the run again"
@@ -75,7 +76,8 @@ def results_header(
         "updates": dict(trained.steps),
         "updates_asked": dict(trained.asked),
         "complete": trained.complete,
-        "seconds": {phase: round(value, 1) for phase, value in seconds.items()},
+        "seconds": {phase: round(value, 2) for phase, value in seconds.items()},
+        "machine": machine(),
         "versions": {name: version(name) for name in VERSIONED},
         "config": to_plain(config),
         "identity": prepared.identity.hashes,

@@ -1,5 +1,6 @@
 """Studies: lists of cells = data x method x seed, with the settings that are studied. Data only.
 
+    fifty         ml45 and mt50, one block, longer: what the paper shows its ablations on
     one-block     every method on every family but mt10, the language model cut to its first block;
                   three seeds for the main ones; on cheetah_vel one thing changed at a time as well
     first-pass    what was run before with four blocks, at four times the cost (0018)
@@ -90,6 +91,7 @@ def _blocks(method: str, depth: int) -> Mapping[str, Any]:
     return {"backbone": {"depth": depth}} if has_language_model(method) else {}
 
 
+_META_WORLD = ("ml10", "mt10", "ml45", "mt50")
 # Cheetah, ant and the first pass: shown, as published (0018 for what Meta-World says of it).
 _SHOWN = {"inputs": {"previous_action": True}}
 _HIDDEN = {"inputs": {"previous_action": False}}
@@ -107,7 +109,7 @@ def _one(
     data: str, method: str, *changes: Mapping[str, Any], seed: int = 0, label: str = ""
 ) -> Cell:
     """Judged by default: `infer` as the method has it."""
-    shown = {} if data in ("ml10", "mt10") else _SHOWN
+    shown = {} if data in _META_WORLD else _SHOWN
     return _laid(data, method, seed, label, _blocks(method, 1), shown, *changes)
 
 
@@ -209,7 +211,52 @@ _FIRST_PASS: tuple[Cell, ...] = (
     _four("ml10", _PLAIN, _ALL_TUNED, _TEST, label="few-shot-all"),
 )  # fmt: skip
 
-STUDIES: Mapping[str, tuple[Cell, ...]] = {"one-block": _ONE_BLOCK, "first-pass": _FIRST_PASS}
+# Ten tasks of the fifty make an update, as on ml10. Test classes are five and judged longer.
+_FIFTY_SIZE: Mapping[str, Any] = {
+    "sampler": {"per_task": 6},
+    "optimiser": {"warmup_steps": 50},
+    "teacher": {"steps": 400},
+    "multitask": {"steps": 5500},
+}
+_LONGER: Mapping[str, Mapping[str, Any]] = {
+    "ml45": {"evaluation": {"episodes": 20, "train_episodes": 5}},
+    "mt50": {"evaluation": {"episodes": 5}},
+}
+_NOTHING_OR_X = {"adapt": {"starts": ["cross", "cross_mean", "infer"]}}
+_COMPARED: Mapping[str, tuple[Mapping[str, Any], ...]] = {
+    "MPDT-ones": (_NOTHING_OR_X, _EXPERT),
+    "MPDT-E": (_NOTHING_OR_X, _EXPERT),
+    "MPDT": (_NOTHING_OR_X,),
+    "Prompt-DT": (_INFER,),
+    "Soft-Prompt-TTA": (_EXPERT,),
+}
+
+
+def _fifty(
+    data: str, method: str, *changes: Mapping[str, Any], seed: int = 0, label: str = ""
+) -> Cell:
+    return _one(data, method, _FIFTY_SIZE, _LONGER[data], *changes, seed=seed, label=label)
+
+
+_FIFTY: tuple[Cell, ...] = (
+    *(_fifty(data, method, *_COMPARED[method], seed=seed)
+      for seed in (0, 1, 2) for method in _COMPARED for data in ("ml45", "mt50")),
+    # The weights of MPDT-ones again: few-shot that tunes the map and the head as well.
+    *(_fifty("ml45", "MPDT-ones", _ALL_TUNED, _TEST, seed=seed, label="few-shot-all")
+      for seed in (0, 1, 2)),
+    *(_fifty(data, _PLAIN, {"prompts": changed}, _NOTHING_OR_X, label=label)
+      for data in ("ml45", "mt50")
+      for label, changed in (("rank-1", {}), ("rank-4", {"rank": 4}), ("rank-10", {"rank": 10}),
+                             ("length-3", {"length": 3}), ("length-9", {"length": 9}))),
+    *(_fifty(data, method, _NOTHING_OR_X)
+      for data in ("ml45", "mt50") for method in ("MPDT-WP", "MPDT-WP-frozen")),
+)  # fmt: skip
+
+STUDIES: Mapping[str, tuple[Cell, ...]] = {
+    "one-block": _ONE_BLOCK,
+    "fifty": _FIFTY,
+    "first-pass": _FIRST_PASS,
+}
 
 
 def get_study(name: str) -> tuple[Cell, ...]:

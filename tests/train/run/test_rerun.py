@@ -313,7 +313,12 @@ def test_what_training_cost_is_known_to_later_judgements(again):
     assert results_of(folder)["seconds"]["training"] > 0
     (folder / "spent.json").write_text('{"training_s": 123.4}')
     assert call(*arguments, "--adapt.steps", 3, "-q") == 0
-    assert results_of(folder)["seconds"]["training"] == 123.4
+    seconds = results_of(folder)["seconds"]
+    assert seconds["training"] == 123.4
+    assert set(seconds) == {"training", "adaptation", "judging", "all"}
+    assert min(seconds.values()) > 0, "each part took its time"
+    assert seconds["all"] == pytest.approx(sum(seconds.values()) / 2, abs=0.02)
+    assert results_of(folder)["machine"]["cores"] == len(os.sched_getaffinity(0))
     for odd in (f'{{"training_s": {10**400}}}', '{"training_s": -1}', "[]", '{"training_s": "x"}'):
         (folder / "spent.json").write_text(odd)
         assert Spent(RunFolder(folder)).training_s == 123.4
