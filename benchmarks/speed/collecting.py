@@ -6,11 +6,13 @@ ours    one worker process per core: whole blocks, simulated and written as part
 limit   one process per core: open-loop `mujoco.rollout` of the same episodes from the same
         states and actions: no policy, no observations, no rewards, nothing written
 peers   the same tasks as gymnasium environments, stepped with ready-made actions; no policy
-        acts there and nothing is computed but the step, which is kind to them
+        acts there and nothing is computed but the step, which is kind to them. EnvPool's robots in
+        C++ on as many threads, see envpool_peer.py for what is different
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import shutil
 import tempfile
@@ -19,10 +21,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import envpool_peer
 import numpy as np
 import rounds
 
 PEER_STEPS = 1000
+ENVPOOL = {"cheetah": (20_000, 2.5), "ant": (4_000, 2.0)}
+"""Robot -> its steps in a round, and how many times its rate ours is to be."""
 CASES = [
     # name, entry, kind of block, name of the block, targets
     ("cheetah, expert", "cheetah_dir", "episodes", "expert", 0.85),
@@ -154,27 +159,40 @@ def peer_ways(entry: str, actions: np.ndarray) -> list[rounds.Way]:
 
 
 def measure(report: rounds.Report) -> None:
-    for title, entry, kind, name, least in CASES:
-        with rounds.worker_processes(
-            partial(ways, entry=entry, kind=kind, name=name), rounds.cores()
-        ) as team:
-            ways_of = [
-                rounds.Way("mpdt", "ours", lambda: sum(team("ours")()), 0),
-                rounds.Way("mujoco.rollout, open loop", "limit", lambda: sum(team("limit")()), 0),
-            ]
-            targets = [rounds.Target("mujoco.rollout, open loop", least)]
-            if name == "expert":
-                size = block_of(entry, kind, name)[0].plan.family.action_size
-                drawn = np.random.default_rng(0).uniform(-1, 1, (PEER_STEPS, size))
-                actions = drawn.astype(np.float32)
-                ways_of += peer_ways(entry, actions)
-                if entry == "cheetah_dir" and ways_of[-1].name == "Minari DataCollector":
-                    targets.append(rounds.Target("Minari DataCollector", 6.0))
-            few = (
-                min(3, report.rounds) if entry == "ant_dir" else 0
-            )  # its steps take 6 times longer
-            report.compare(title, "env steps/s", ways_of, targets, few)
+    with contextlib.ExitStack() as stack:
+        peer = None
+        if envpool_peer.is_there():
+            peer = stack.enter_context(envpool_peer.envpool(rounds.cores()))
+        for title, entry, kind, name, least in CASES:
+            team = stack.enter_context(rounds.worker_processes(
+                partial(ways, entry=entry, kind=kind, name=name), rounds.cores()))  # fmt: skip
+            found, targets = compared(team, entry, kind, name, least)
+            robot = entry.partition("_")[0]
+            if peer is not None and kind == "episodes":
+                steps, factor = ENVPOOL[robot]
+                run = partial(peer, robot, steps)
+                found.append(rounds.Way(envpool_peer.NAME, "peer", run, 0))
+                targets.append(rounds.Target(envpool_peer.NAME, factor))
+            report.compare(title, "env steps/s", found, targets, min(3, report.rounds))
             team("clean")()
+
+
+def compared(
+    team: Any, entry: str, kind: str, name: str, least: float
+) -> tuple[list[rounds.Way], list[rounds.Target]]:
+    """Ours, the limit and the peers of a case, but for EnvPool."""
+    found = [
+        rounds.Way("mpdt", "ours", lambda: sum(team("ours")()), 0),
+        rounds.Way("mujoco.rollout, open loop", "limit", lambda: sum(team("limit")()), 0),
+    ]
+    targets = [rounds.Target("mujoco.rollout, open loop", least)]
+    if name == "expert":
+        size = block_of(entry, kind, name)[0].plan.family.action_size
+        drawn = np.random.default_rng(0).uniform(-1, 1, (PEER_STEPS, size))
+        found += peer_ways(entry, drawn.astype(np.float32))
+        if entry == "cheetah_dir" and found[-1].name == "Minari DataCollector":
+            targets.append(rounds.Target("Minari DataCollector", 6.0))
+    return found, targets
 
 
 if __name__ == "__main__":

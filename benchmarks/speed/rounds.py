@@ -5,7 +5,9 @@
     round 3   ours  limit  peer        a machine that is busy now and then is busy for all
 
 Each script of this folder that stands for rows of docs/performance.md has `measure(report)` and
-ends with `rounds.main(...)`, which starts it anew with one BLAS thread if it had more.
+ends with `rounds.main(...)`, which starts it anew with one BLAS thread if it had more. It looks
+first whether others use the machine, and again at the end: if they do, nothing is judged, and what
+was measured goes to build/bench/ and not into the place of what an idle machine has shown.
 """
 
 from __future__ import annotations
@@ -26,10 +28,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import machine
+from machine import cores
+
 from mpdt.version import installed
 
+__all__ = ["cores"]  # for the scripts
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results" / "bench"
+BUSY = ROOT / "build" / "bench"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 PACKAGES = ("mpdt", "numpy", "h5py", "mujoco", "metaworld", "gymnasium", "minari", "torch",
             "transformers", "torchrl", "d3rlpy", "stable-baselines3", "jax")  # fmt: skip
@@ -43,27 +50,35 @@ class Way:
         kind: ours; limit, what the hardware allows; peer, another package; plain, ours without
             what makes it fast.
         work: units done per call of `run`, which may return another number instead.
+        warm: called once before the rounds, where `run` itself would take too long.
     """
 
     name: str
     kind: str
     run: Callable[[], float | None]
     work: float
+    warm: Callable[[], object] | None = None
 
 
 @dataclass(frozen=True)
 class Target:
-    """`ours` is to be at least `least` times `way`."""
+    """`ours` is to be at least `least` times `way`, on machines of the class `only`.
+
+    Args:
+        only: bfloat16, no bfloat16, or nothing for all of them.
+    """
 
     way: str
     least: float
+    only: str = ""
 
 
 class Report:
     """The cases of one path, printed as they are measured and written as JSON."""
 
-    def __init__(self, path: str, rounds: int) -> None:
-        self.path, self.rounds = path, rounds
+    def __init__(self, path: str, rounds: int, idle: bool = True) -> None:
+        self.path, self.rounds, self.idle = path, rounds, idle
+        self._has_bfloat16 = machine.has_bfloat16()
         self.cases: list[dict[str, Any]] = []
         self.facts: list[dict[str, Any]] = []
 
@@ -74,7 +89,7 @@ class Report:
         """Measure `ways`, the first of which is ours; returns the median ratio ours / way."""
         rates: dict[str, list[float]] = {way.name: [] for way in ways}
         for way in ways:
-            way.run()  # caches, allocators, lazy imports
+            (way.warm or way.run)()  # caches, allocators, lazy imports
         for _ in range(rounds or self.rounds):
             for way in ways:
                 began = time.perf_counter()
@@ -88,24 +103,33 @@ class Report:
         }
         rows = [
             {"name": way.name, "kind": way.kind, "rate": statistics.median(rates[way.name]),
+             "spread": (max(rates[way.name]) - min(rates[way.name]))
+             / statistics.median(rates[way.name]),
              "ours_over_this": ratios[way.name]}
             for way in ways
         ]  # fmt: skip
         judged = [
             {**asdict(target), "measured": ratios[target.way],
              "met": ratios[target.way] >= target.least}
-            for target in targets
+            for target in targets if self._holds_here(target.only)
         ]  # fmt: skip
         self.cases.append({"case": name, "unit": unit, "rounds": rounds or self.rounds,
                            "rows": rows, "targets": judged, "note": note})  # fmt: skip
         print(f"\n{name:48} {unit:>16}   ours is")
         for row in rows:
             print(f"  {row['kind']:6} {row['name']:40} {row['rate']:15,.5g}"
-                  f"   {row['ours_over_this']:8.2f} x")  # fmt: skip
+                  f"   {row['ours_over_this']:8.2f} x   spread {row['spread']:.0%}")  # fmt: skip
         for target in judged:
-            _say(f"{target['least']:g} x {target['way']}", f"{target['measured']:.2f}",
-                 target["met"])  # fmt: skip
+            self._say(f"{target['least']:g} x {target['way']}", f"{target['measured']:.2f}",
+                      target["met"])  # fmt: skip
         return ratios
+
+    def _holds_here(self, only: str) -> bool:
+        return only in ("", "bfloat16" if self._has_bfloat16 else "no bfloat16")
+
+    def _say(self, wanted: str, found: str, met: bool) -> None:
+        said = "met" if met else "MISSED"
+        print(f"  target {wanted:46} {found:>10}   {said if self.idle else 'not judged: busy'}")
 
     def fact(
         self, name: str, value: float, unit: str, least: float | None = None,
@@ -119,38 +143,18 @@ class Report:
         print(f"\n{name:58} {value:,.4g} {unit}   {note}")
         if met is not None:
             bound = f"at least {least:g}" if least is not None else f"at most {most:g}"
-            _say(f"{bound} {unit}", f"{value:.3g}", met)
+            self._say(f"{bound} {unit}", f"{value:.3g}", met)
 
-    def write(self, seconds: float) -> Path:
-        record = {"path": self.path, "machine": machine(), "versions": versions(),
-                  "seconds": round(seconds, 1), "cases": self.cases,
-                  "facts": self.facts}  # fmt: skip
-        RESULTS.mkdir(parents=True, exist_ok=True)
-        path = RESULTS / f"{self.path}.json"
+    def write(self, seconds: float, others: float | None) -> Path:
+        """Args: others: share of the machine that others had."""
+        record = {"path": self.path, "machine": machine.describe(), "versions": versions(),
+                  "seconds": round(seconds, 1), "others": others, "judged": self.idle,
+                  "cases": self.cases, "facts": self.facts}  # fmt: skip
+        folder = RESULTS if self.idle else BUSY
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / f"{self.path}.json"
         path.write_text(json.dumps(record, indent=1) + "\n")
         return path
-
-
-def _say(wanted: str, found: str, met: bool) -> None:
-    print(f"  target {wanted:46} {found:>10}   {'met' if met else 'MISSED'}")
-
-
-def machine() -> dict[str, Any]:
-    """What the numbers depend on beside the code; never a host name."""
-    names = [line.partition(":")[2].strip() for line in _lines("/proc/cpuinfo")
-             if line.startswith("model name")]  # fmt: skip
-    memory = [int(line.split()[1]) for line in _lines("/proc/meminfo") if "MemTotal" in line]
-    return {"cpu": names[0] if names else platform.machine(), "cores": cores(),
-            "memory_gib": round(sum(memory) / 2**20, 1), "system": platform.system(),
-            "load": round(os.getloadavg()[0], 2)}  # fmt: skip
-
-
-def _lines(path: str) -> list[str]:
-    return Path(path).read_text().splitlines() if Path(path).exists() else []
-
-
-def cores() -> int:
-    return len(os.sched_getaffinity(0))
 
 
 def versions() -> dict[str, str]:
@@ -252,7 +256,19 @@ def main(path: str, measure: Callable[[Report], None], sources: Sequence[str] = 
         print(f"kept  {result.relative_to(ROOT)}")
         return
     print(f"== {path}")
-    report, began = Report(path, options.rounds), time.monotonic()
+    report = Report(path, options.rounds, _is_idle(machine.others_now(), "before the first round"))
+    watch, began = machine.Watch(), time.monotonic()
     measure(report)
-    written = report.write(time.monotonic() - began)
+    others = watch.others()
+    report.idle &= _is_idle(others, "while it measured")
+    written = report.write(time.monotonic() - began, others)
     print(f"\nwritten  {written.relative_to(ROOT)}   {time.monotonic() - began:.0f} s")
+
+
+def _is_idle(others: float | None, when: str) -> bool:
+    """Whether it may be judged; says so where not."""
+    if others is None or others <= machine.MOST:
+        return True
+    print(f"\nnot judged: others used {others:.0%} of this machine {when}")
+    print(f"(at most {machine.MOST:.0%}); the stored result stays, this one goes to build/bench/")
+    return False

@@ -18,22 +18,10 @@ def load(name: str) -> ModuleType:
     return module
 
 
-def test_the_page_of_speed_is_fresh() -> None:
-    """Else: python benchmarks/speed/performance_page.py"""
-    page = load("speed/performance_page.py").page()
-    assert page == (ROOT / "docs/performance.md").read_text()
-
-
 def test_the_page_of_trust_is_fresh() -> None:
     """Else: python benchmarks/trust/trust_page.py"""
     page = load("trust/trust_page.py").page(ROOT / "results/trust")
     assert page == (ROOT / "docs/trust.md").read_text()
-
-
-def test_what_is_known_about_misses_is_about_paths_that_are_measured() -> None:
-    module = load("speed/performance_page.py")
-    assert set(module.KNOWN) <= set(module.PATHS)
-    assert all(set(said) <= {"in_the_way", "next_factor_of_two"} for said in module.KNOWN.values())
 
 
 def test_a_break_that_survived_is_named() -> None:
