@@ -11,7 +11,7 @@
 #              texts, all locked files made again, Ray: about three hours on two cores; writes
 #              results/trust/*.json and docs/trust.md
 # make ecosystem   exports read by the packages they are made for, in build/ecosystem; writes
-#              results/ecosystem.json and docs/ecosystem.md
+#              results/ecosystem.json and docs/ecosystem.md; then the same for trackers
 # make results tables and pictures under docs/results, from the cells in results/studies/one-block
 # make pages   the pages in a headless Chromium
 # make docs    the references under docs/reference/ and the list of all options, from the code
@@ -100,6 +100,7 @@ trust: .venv/ready
 
 ecosystem: .venv/ready
 	$(BIN)/python benchmarks/ecosystem/ecosystem.py
+	build/ecosystem/bin/python -m pytest -m slow -n0 tests/train/track
 
 docs: .venv/ready
 	$(BIN)/python tools/write_reference.py

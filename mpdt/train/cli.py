@@ -6,6 +6,7 @@
     mpdt-train --data a.h5 b.h5                          several files as one
     mpdt-train --data ml10.h5 --adapt infer              our own zero-shot protocol
     mpdt-train --data ml10.h5 --inputs.return-to-go none --name no-rtg
+    mpdt-train --data ml10.h5 --log tensorboard,wandb    told to trackers while it goes
     mpdt-train methods                                   all of them, and what each reads
     mpdt-train settings --preset paper                   every setting and its value
     mpdt-train report runs/ml10-base                     the tables of a finished run
@@ -159,6 +160,8 @@ def _run(command: Run, rest: list[str]) -> int:
     from mpdt.train.run.prepare import prepare
     from mpdt.train.run.progress import Progress
     from mpdt.train.run.show import print_results
+    from mpdt.train.track.follow import Following
+    from mpdt.train.track.tracker import chosen_trackers
 
     beginning = None
     if command.begin is not None:
@@ -167,15 +170,17 @@ def _run(command: Run, rest: list[str]) -> int:
         from mpdt.train.run.load import bundle_folder
 
         beginning = Beginning.at(bundle_folder(revealed(command.begin)))
+    names = () if command.log is None else chosen_trackers(command.log)
     config = parse_settings(command, rest, beginning)
     usual = f"{name_of_data(command.data)}-{command.method or command.preset}"
     folder = locate(command.runs_dir, usual if command.name is None else command.name)
 
     def body(stop: StopRequest) -> int:
+        progress = Progress(command.quiet, stop)
         results = run_pipeline(
-            prepare(config, command.data), folder, Progress(command.quiet, stop),
+            prepare(config, command.data), folder, progress,
             "restart" if command.restart else "continue", command.time_limit_s,
-            beginning=beginning,
+            beginning=beginning, follower=Following(names, progress) if names else None,
         )  # fmt: skip
         if results:  # of several processes the first one tells
             print_results(results, command.json)

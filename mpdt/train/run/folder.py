@@ -9,6 +9,7 @@ runs/<name>/
   spent.json            seconds of training, of all processes
   results.json, report.md
   policy/               the bundle: all that acting needs (mpdt/train/bundle)
+  tracked.json          what trackers have of it; tensorboard/ and wandb/ are theirs (--log)
   judged/HASH.json      results.json of earlier judgements of these weights, under other settings
 """
 
@@ -80,6 +81,10 @@ class RunFolder:
     @property
     def spent(self) -> Path:
         return self.path / "spent.json"
+
+    @property
+    def tracked(self) -> Path:
+        return self.path / "tracked.json"
 
     @property
     def report(self) -> Path:
@@ -288,7 +293,8 @@ def _clear(folder: RunFolder) -> None:
                 entry.unlink()
 
 
-_OURS = re.compile(r"(config|results|spent)\.json|metrics\.jsonl|report\.md|policy|judged"
+_OURS = re.compile(r"(config|results|spent|tracked)\.json|metrics\.jsonl|report\.md|policy|judged"
+                   r"|tensorboard|wandb|\.wandb-sending"
                    r"|(teacher|weights|checkpoint-.*)\.safetensors")  # fmt: skip
 _ELSEWHERE = "choose another --name or --runs-dir"
 # What a kill in the first moment leaves in a new folder; the first two are of older versions.

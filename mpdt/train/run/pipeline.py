@@ -35,6 +35,7 @@ from mpdt.train.run.begin import Beginning
 from mpdt.train.run.build import build
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder, claimed, inspect
+from mpdt.train.run.follower import Follower
 from mpdt.train.run.judge import Judge
 from mpdt.train.run.keep import Keeper
 from mpdt.train.run.older import as_stored
@@ -56,11 +57,13 @@ def run_pipeline(
     time_limit_s: float = 0.0,
     keep: Path | None = None,
     beginning: Beginning | None = None,
+    follower: Follower | None = None,
 ) -> dict[str, Any]:
     """Do, continue or look up one run; returns the content of its results.json.
 
     Args:
         beginning: where its numbers begin, if not anew; needed until it is trained.
+        follower: told of it while it goes; of a finished run, what it has not heard.
         keep: where the episodes of its judgement go as data, see `keep.py`; judges in any case.
     Raises: Stopped after a signal, with everything saved that can be; MpdtError for what the
         user can mend, before anything is written or trained where that can be known.
@@ -90,6 +93,10 @@ def run_pipeline(
     if group.any([done is not None])[0]:
         group.leave()
         progress.say(f"this run is done: {folder.path} (again: --restart)")
+        if done is not None and follower is not None:
+            with claimed(folder, identity, restart=False):
+                follower.begin(folder, prepared)
+                follower.judged(done)
         return done or {}
     inspect(folder, identity, restart)
     if how == "judge" and not folder.weights.exists():
@@ -118,6 +125,9 @@ def run_pipeline(
             trainer.train()
             group.leave()
             return {}
+        if follower is not None:
+            follower.begin(folder, prepared)
+            trainer.follower = follower
         return _train_and_judge(trainer, keeper)
 
 
@@ -179,6 +189,8 @@ def _train_and_judge(trainer: Trainer, keeper: Keeper | None = None) -> dict[str
         folder.judged(prepared.identity.hashes["judging"]).unlink(missing_ok=True)
     progress.say(f"written to {folder.path}")
     results: dict[str, Any] = json.loads(content)
+    if trained.complete:
+        trainer.follower.judged(results)
     return results
 
 

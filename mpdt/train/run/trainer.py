@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from mpdt.train.fit.trained import Trained
 from mpdt.train.run.build import Learner
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder
+from mpdt.train.run.follower import Follower, Nobody
 from mpdt.train.run.identity import JUDGING
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.spent import Spent
@@ -45,6 +46,7 @@ class Trainer:
             there is; 0 = never. The result then depends on the machine.
         proof: that what is learnt from is whole; nothing is kept before it is.
         filled: the learner holds the numbers of the bundle that the run begins from.
+        follower: told of the lines that are kept.
     """
 
     learner: Learner
@@ -54,6 +56,7 @@ class Trainer:
     group: Group = ALONE
     proof: BackgroundProof | None = None
     filled: bool = False
+    follower: Follower = field(default_factory=Nobody)
 
     def __post_init__(self) -> None:
         prepared = self.learner.prepared
@@ -73,6 +76,7 @@ class Trainer:
         if header is not None:
             # Lines of an earlier adaptation go: it is done again.
             folder.log.cut(int(str(header.settings["metrics_bytes"])))
+            self.follower.kept(folder.log.size_bytes)
             self.progress.say(f"trained already: {folder.weights}")
             return learner.trained(learner.asked)
         with Spent(folder).training():
@@ -88,6 +92,8 @@ class Trainer:
         steps, teacher = {"teacher": 0, "student": 0}, None
         if self._config.teacher.distillation != "none":
             steps["teacher"] = self._train_teacher(began_s)
+            if steps["teacher"] < learner.asked["teacher"]:
+                self.follower = Nobody()  # this student's lines go when the teacher goes on
             if isinstance(learner.prompts, TaughtParts):
                 learner.prompts.take(learner.teacher_prompts.prompts)
             else:
@@ -155,6 +161,12 @@ class Trainer:
         for phase in updates:
             if updates[phase] == self.learner.asked[phase]:
                 self.folder.checkpoint(phase).unlink(missing_ok=True)
+        self._kept(updates)
+
+    def _kept(self, updates: Mapping[str, int]) -> None:
+        """Tell of the log as it is, unless a phase of `updates` is still to go on: it cuts it."""
+        if all(done == self.learner.asked[phase] for phase, done in updates.items()):
+            self.follower.kept(self.folder.log.size_bytes)
 
     def _prove(self) -> None:
         """Before what was learnt is kept. Raises: FormatError for a damaged episode."""
@@ -173,12 +185,14 @@ class Trainer:
         config, log, num_steps = self._config, self.folder.log, self.learner.asked[phase]
         checkpoint = Checkpoint(self.folder.checkpoint(phase), self.learner.hashes, log)
         first = checkpoint.resume(phase, subject)
+        self.follower.kept(log.size_bytes)
         if first:
             self.progress.say(f"resuming {phase} after {first} of {num_steps} updates")
 
         def save(done: int) -> None:
             self._prove()
             checkpoint.save(phase, done, subject)
+            self.follower.kept(log.size_bytes)
 
         def on_step(done: int, parts: dict[str, float]) -> bool:
             late = 0 < self.time_limit_s * share < time.monotonic() - began_s
