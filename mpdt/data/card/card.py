@@ -32,7 +32,7 @@ ROBOTS = {
 REFERENCE_NAMES = {
     "zero": "zero action", "random": "random", "constant": "best constant", "expert": "expert",
 }  # fmt: skip
-WORST = (Outcome.FAIL, Outcome.WARN, Outcome.SKIP, Outcome.PASS)
+WORST = (Outcome.FAIL, Outcome.WARN, Outcome.SKIP, Outcome.PASS, Outcome.NONE)
 
 
 def card_page(

@@ -22,8 +22,9 @@ from mpdt.data.collect.job import Job
 from mpdt.data.collect.pack import tta_source
 from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.plan import Block, Plan, make_plan
+from mpdt.data.collect.standing import standing_spec
 from mpdt.data.episode import Episode
-from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts, TtaRule
+from mpdt.data.spec.entry import EpisodeCounts, TtaRule
 from mpdt.data.store import provenance
 from mpdt.data.store.amend import add_tta
 from mpdt.data.store.dataset import Dataset
@@ -44,9 +45,9 @@ class Added:
 def stored_rule(dataset: Dataset, name: str) -> TtaRule:
     """The rule of that name in the file's spec; the defaults where it has none.
 
-    Raises: DataError for a file without a spec.
+    Raises: as `standing_spec`.
     """
-    return _spec(dataset).tta.get(name) or TtaRule(episodes=20)
+    return standing_spec(dataset).tta.get(name) or TtaRule(episodes=20)
 
 
 def set_job(dataset: Dataset, name: str, rule: TtaRule, tasks: Sequence[str] = ()) -> Job:
@@ -54,14 +55,16 @@ def set_job(dataset: Dataset, name: str, rule: TtaRule, tasks: Sequence[str] = (
 
     Args:
         tasks: names of the only tasks to get one; empty = those that `rule.tasks` says.
-    Raises: DataError for a file without a spec; SpecError for a rule that cannot be; UsageError
+    Raises: as `standing_spec`; SpecError for a rule that cannot be; UsageError
         for an unknown task, or where no task is left.
     """
     checked_name(name)
     chosen = {dataset.task_row(task) for task in tasks} or set(range(len(dataset.tasks)))
     indices = {dataset.tasks.indices[row] for row in chosen}
     # Nothing but the set: neither stored episodes nor references.
-    spec = msgspec.structs.replace(_spec(dataset), tta={name: rule}, episodes=EpisodeCounts())
+    spec = msgspec.structs.replace(
+        standing_spec(dataset), tta={name: rule}, episodes=EpisodeCounts()
+    )
     plan = make_plan(spec)
     blocks = tuple(b for b in plan.of_kind("tta", name) if b.task.index in indices)
     if not blocks:
@@ -92,6 +95,8 @@ def add_set(
     """
     path, plan, (name,) = dataset.path, job.plan, job.spec.tta
     source = tta_source(plan, name, (), plan.num_tta_episodes, 0)
+    if "seed" not in dataset.spec:  # an import: nothing else in the file says it
+        source = replace(source, rule={**source.rule, "seed": job.spec.seed})
     if name in dataset.tta and not overwrite:
         _check_same(dataset, name, plan, source.rule, source.preset_returns)
     folder = PartsFolder(path.with_name(f"{path.name}.tta-{name}"))
@@ -116,16 +121,6 @@ def add_set(
             done = add_tta(path, name, source)
         folder.delete()
     return Added(done, _version_warnings(dataset))
-
-
-def _spec(dataset: Dataset) -> DatasetSpec:
-    try:
-        return msgspec.convert(dict(dataset.spec), DatasetSpec)
-    except msgspec.ValidationError as error:
-        raise DataError("the file does not say how it was made", where=str(dataset.path),
-                        found=str(error),
-                        hint="only files of `mpdt-data collect` can get more",
-                        ) from error  # fmt: skip
 
 
 def _episodes(folder: PartsFolder, blocks: Sequence[Block]) -> Iterator[Episode]:

@@ -235,15 +235,19 @@ def _header(
 
 
 def _told(tallies: Sequence[_Tally]) -> Iterator[str]:
+    again = [tally for tally in tallies if not all(tally.kept)]
+    if again:
+        count = sum(tally.kept.count(False) for tally in again)
+        where = str(again[0].source.path)
+        where += f" and {len(again) - 1} more files" if len(again) > 1 else ""
+        yield f"{where}: left out {count} episodes that are there already"
     for tally in tallies:
-        path, left_out = tally.source.path, len(tally.kept) - sum(tally.kept)
+        path = tally.source.path
         if tally.clipped_numbers:
             yield (
                 f"{path}: clipped {tally.clipped_numbers} numbers in the actions of "
                 f"{tally.clipped_episodes} episodes, up to {tally.largest_action:.3g}"
             )
-        if left_out:
-            yield f"{path}: left out {left_out} episodes that are there already"
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -21,7 +21,7 @@ from mpdt.data.spec.yamltext import load_yaml
 from mpdt.errors import MissingFileError, SpecError, StorageError, nearest, unknown_name
 from mpdt.reading import read_plain
 
-__all__ = ["Catalog", "load_catalog"]
+__all__ = ["Catalog", "load_catalog", "shipped_catalog"]
 
 FILE_NAME = "datasets.yaml"
 SCHEMA = 1
@@ -64,12 +64,24 @@ def load_catalog(path: Path | None = None) -> Catalog:
     return Catalog(chosen, dict(_parsed(text, str(chosen))))
 
 
+def shipped_catalog() -> Catalog:
+    """The datasets.yaml that mpdt comes with, whatever lies in the working folder.
+
+    Raises: as `load_catalog`.
+    """
+    return load_catalog(_shipped_path())
+
+
 def _default_path() -> Path:
+    here = Path(FILE_NAME)
+    # Also a folder or a broken link: to pass it over would surprise.
+    return here if os.path.lexists(here) else _shipped_path()
+
+
+def _shipped_path() -> Path:
     # Wheels carry the file inside the package; an editable install has it beside the package.
     package = Path(__file__).parents[2]
-    here, inside = Path(FILE_NAME), package / FILE_NAME
-    if os.path.lexists(here):  # also a folder or a broken link: to pass it over would surprise
-        return here
+    inside = package / FILE_NAME
     return inside if inside.is_file() else package.parent / FILE_NAME
 
 

@@ -1,4 +1,4 @@
-"""Add a slice or a TTA set to a finished file: a changed copy takes its place.
+"""Add a slice, a TTA set or references to a finished file: a changed copy takes its place.
 
 The episodes, and with them the content hash, stay what they are. The file is held from before
 it is read until the copy has its place, so that what two processes add at once is both in it.
@@ -15,6 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mpdt.data.reference import References
 from mpdt.data.store import columns, layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_header
@@ -25,7 +26,7 @@ from mpdt.data.store.seal import seal
 from mpdt.data.store.sources import TtaSource
 from mpdt.data.store.tables import Int64, Slice
 from mpdt.data.store.ttaset import fill_tta
-from mpdt.data.store.writer import ALIGNED, closing, write_slice
+from mpdt.data.store.writer import ALIGNED, closing, write_references, write_slice
 from mpdt.disk import disk, holding, replacing, reserve
 
 
@@ -75,6 +76,18 @@ def add_tta(path: Path, name: str, source: TtaSource) -> Dataset:
             with disk(path):
                 del file["goals"]
                 columns.write_table(file.create_group("goals"), layout.GOALS, goals.values())
+        return open_dataset(path)
+
+
+def set_references(path: Path, references: Mapping[str, References]) -> Dataset:
+    """Enter references by task name, in place of those that the tasks have; open the new file.
+
+    Raises: UsageError for a task that is not in the file; BusyError, StorageError. The old file
+        stays on any of these.
+    """
+    with holding(path, amends=True):
+        with _copy(path) as (file, dataset), disk(path):
+            write_references(file, references, dataset)
         return open_dataset(path)
 
 

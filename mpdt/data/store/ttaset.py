@@ -114,6 +114,4 @@ def find_tta_set(dataset: Dataset, name: str, rows: Sequence[int]) -> TtaSet:
 
 def _without_set(dataset: Dataset) -> str:
     skip = "skip adaptation: --adapt.starts none"
-    if "import" in dataset.spec:  # it does not say how more of it could be simulated
-        return skip
     return f"add one: mpdt-data tta {quoted(dataset.path)}; or {skip}"

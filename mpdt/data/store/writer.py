@@ -17,6 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mpdt.data.reference import References
 from mpdt.data.spec.entry import canonical_json, spec_hash
 from mpdt.data.store import columns, layout, provenance
 from mpdt.data.store.dataset import Dataset
@@ -187,10 +188,16 @@ def _write_additions(file: h5py.File, additions: Additions, dataset: Dataset) ->
         write_slice(file, name, chosen, dataset)
     if additions.stats is not None:
         write_stats(file, additions.stats)
-    for task, references in additions.references.items():
+    write_references(file, additions.references, dataset)
+
+
+def write_references(
+    file: h5py.File, references: Mapping[str, References], dataset: Dataset
+) -> None:
+    """Enter references by task name, in place of older ones. Raises: UsageError for a task."""
+    for task, one in references.items():
         row = dataset.task_row(task)
-        cells = reference_cells(references, dataset.action_size)
-        for path, value in cells.items():
+        for path, value in reference_cells(one, dataset.action_size).items():
             file[f"tasks/{path}"][row] = value
 
 

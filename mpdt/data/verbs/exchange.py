@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,7 +19,8 @@ class Import(Options):
     """Bring data of another format into a dataset file; several sources become one file.
 
     Everything is checked, and a pickle cannot run code. What a source does not say about its
-    origin stays unknown.
+    origin stays unknown; references are those on record for its tasks and horizon. `tta FILE` adds
+    a set for test-time adaptation.
 
     Examples:
       mpdt-data import prompt-dt/ --from promptdt --family cheetah_vel -o vel.h5
@@ -49,10 +50,13 @@ class Import(Options):
     """Licence of the sources, where they do not say."""
 
     def run(self) -> None:
+        from mpdt.data.collect.standing import with_references
         from mpdt.data.exchange import formats, incoming
         from mpdt.data.slices.standard import standard_additions
 
         found = formats.read(self.format, self.sources, self._rules(), self.output.stem)
+        header, remarks = with_references(found.header)
+        found = replace(found, header=header, remarks=(*found.remarks, *remarks))
         dataset = incoming.store(found, self.output, standard_additions)
         for remark in found.remarks:
             self.say(remark)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
-from mpdt.data.verbs.make import Name, Output, Workers
+from mpdt.data.verbs.make import Output, Workers
 from mpdt.data.verbs.options import (
     Names,
     Options,
@@ -30,14 +30,17 @@ class Reference(Options):
     every collection started from this folder; delete the file to go back. Stop and start it as
     you like: what the file holds already is kept.
 
+    Of a dataset file they are measured at its horizon, with its options, and entered in it as well.
+
     Examples:
       mpdt-data reference cheetah_dir
+      mpdt-data reference vel.h5
       mpdt-data reference ml10 --horizons 200,500 --policies zero,random,constant
       mpdt-data reference mt50 --seed 2 -o other.json
     """
 
-    name: Name
-    """Entry of datasets.yaml."""
+    name: Annotated[Positional[str], arg(metavar="NAME|FILE")]
+    """Entry of datasets.yaml, or a dataset file NAME.h5."""
     horizons: Names = ()
     """Episode lengths in steps; default: the entry's own."""
     policies: Names = ()
@@ -56,26 +59,48 @@ class Reference(Options):
     """Another datasets.yaml than ./datasets.yaml or the shipped one."""
 
     def run(self) -> None:
+        from mpdt.data.collect.standing import recorded_references, standing_spec
         from mpdt.data.sim.measure import KINDS, measure
         from mpdt.data.sim.record import LOCAL_FILE
         from mpdt.data.spec.catalog import load_catalog
+        from mpdt.data.store.amend import set_references
+        from mpdt.data.store.reader import open_dataset
         from mpdt.data.workers.processes import default_workers
-        from mpdt.errors import unknown_name
+        from mpdt.errors import UsageError, unknown_name
 
         kinds = split_names(self.policies) or KINDS
         for kind in kinds:
             if kind not in KINDS:
                 raise unknown_name("policy", kind, KINDS, where="--policies")
         horizons = split_steps(self.horizons, where="--horizons")
-        target = self.output or Path(LOCAL_FILE)
+        target, file = self.output or Path(LOCAL_FILE), _file(self.name)
+        if file is None:
+            spec = load_catalog(self.spec).get(self.name)
+        else:
+            if horizons or self.output or self.spec:
+                raise UsageError(
+                    "a file has its own horizon, and takes what is measured here",
+                    where=str(file),
+                    hint="leave out --horizons, -o and --spec",
+                )
+            spec = standing_spec(open_dataset(file))
         campaign = measure(
-            load_catalog(self.spec).get(self.name), target, horizons=horizons,
+            spec, target, horizons=horizons,
             kinds=kinds, seed=self.seed, cap=self.most, restart=self.restart,
             workers=default_workers() if self.workers is None else self.workers,
             on_progress=self.say,
         )  # fmt: skip
         rows = summary(campaign)
-        self.print({"path": str(target), "references": rows}, f"{table(rows)}\nwrote  {target}")
+        if file is not None:
+            set_references(file, recorded_references(spec))
+        written = f"{target}, {file}" if file else str(target)
+        self.print({"path": str(target), "references": rows}, f"{table(rows)}\nwrote  {written}")
+
+
+def _file(name: str) -> Path | None:
+    """The file that is meant; names of entries have no ending and lie in no folder."""
+    path = Path(name)
+    return path if path.suffix in (".h5", ".hdf5") or len(path.parts) > 1 else None
 
 
 def summary(campaign: Campaign) -> list[dict[str, Any]]:

@@ -21,6 +21,7 @@ import numpy as np
 
 from mpdt.data.collect.job import Job, make_job
 from mpdt.data.collect.pack import tta_source
+from mpdt.data.collect.standing import standing_spec
 from mpdt.data.lock.file import LockEntry
 from mpdt.data.lock.fingerprint import table_hashes
 from mpdt.data.reference import Reference
@@ -117,7 +118,10 @@ def _set_faults(data: Dataset, job: Job) -> Iterator[Fault]:
         if name not in job.spec.tta:
             continue  # added later
         source = tta_source(job.plan, name, (), 0, 0)
-        if dict(tta.rule) != dict(source.rule):
+        wanted = dict(source.rule)
+        if "seed" in tta.rule:  # an import says it with the set
+            wanted["seed"] = job.spec.seed
+        if dict(tta.rule) != wanted:
             yield Fault(f"its rule {dict(tta.rule)} is not that of the entry", track=f"tta {name}",
                         is_doubt=True)  # fmt: skip
         asked = np.array([
@@ -144,12 +148,20 @@ def _spec(data: Dataset) -> DatasetSpec | None:
         return None
 
 
+def _imported(data: Dataset) -> DatasetSpec | None:
+    """The entry under which an import got its references."""
+    try:
+        return standing_spec(data) if "import" in data.spec else None
+    except MpdtError:
+        return None
+
+
 def _job(data: Dataset) -> Job | None:
     """What collecting the entry would do here; None where its ladder is not here.
 
     A file decides nothing that is read beside it: weights that it names by a path are not opened.
     """
-    spec = _spec(data)
+    spec = _spec(data) or _imported(data)
     if spec is None or is_own_network(spec.behaviour.network):
         return None
     try:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.data.store.tables import Float32
-from mpdt.data.verify.finding import Fault, Finding, judge
+from mpdt.data.verify.finding import Fault, Finding, judge, nothing
 from mpdt.data.verify.material import Chunk, Material, Track
 from mpdt.errors import quoted
 
@@ -67,6 +67,8 @@ class DuplicatesCheck:
             extra = [str(i) for i in faults[0].episodes[1:4]]
             command = f"mpdt-data drop {quoted(self._material.path)} --episodes {','.join(extra)}"
             hint = f"{command} -o OUT.h5"
+        if len(self._material.dataset.episodes) < 2:
+            return nothing(self.id, "no two episodes")
         return judge(self.id, faults, f"no episode twice among {len(data.episodes):,}", hint)
 
     def _groups(self) -> list[list[int]]:

@@ -18,6 +18,7 @@ class Outcome(Enum):
     WARN = "WARN"
     FAIL = "FAIL"
     SKIP = "SKIP"  # could not be looked at, because something it builds on failed
+    NONE = "NONE"  # the file holds nothing of what is looked at
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,11 @@ def fault(
 ) -> Fault:
     """A Fault of these episodes, all of them given."""
     return Fault(what, tuple(int(i) for i in episodes[:3]), len(episodes), track, doubt)
+
+
+def nothing(id: str, why: str) -> Finding:
+    """Neither passed nor failed: `why` says what the file does not hold."""
+    return Finding(id, Outcome.NONE, f"nothing to check: {why}")
 
 
 def judge(id: str, faults: Sequence[Fault], passed: str, hint: str = "") -> Finding:

@@ -6,7 +6,7 @@ import numpy as np
 
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash
-from mpdt.data.verify.finding import Fault, Finding, fault, judge
+from mpdt.data.verify.finding import Fault, Finding, fault, judge, nothing
 from mpdt.data.verify.material import Material
 from mpdt.errors import quoted
 
@@ -22,6 +22,8 @@ def check_leak(material: Material) -> Finding:
         hint = (
             f"mpdt-data split {quoted(material.path)} --train --name train writes that slice again"
         )
+    if data.stats_info is None and not data.slices:
+        return nothing(ID, "neither statistics nor slices")
     saw = "no stats" if data.stats_info is None else "stats saw train tasks only"
     passed = f"{saw}; {len(data.slices)} slices with absolute ids"
     return judge(ID, faults + slices, passed, hint)

@@ -7,6 +7,7 @@ smoke version, and imported files warn.
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +16,7 @@ from mpdt.data.collect.levels import TaskLevels
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.reference import Reference, References
 from mpdt.data.store.origin import again_hint
-from mpdt.data.verify.finding import Fault, Finding, fault, judge
+from mpdt.data.verify.finding import Fault, Finding, fault, judge, nothing
 from mpdt.data.verify.material import Material
 from mpdt.errors import quoted
 
@@ -25,7 +26,8 @@ ORDER = ("random", "medium", "expert")
 
 def check_quality(material: Material) -> Finding:
     data, soft = material.dataset, material.is_imported or material.is_smoke
-    faults, shown, ordered = _column_faults(material), [], 0
+    faults, shown = _column_faults(material), []
+    ordered, compared = Counter[str](), Counter[str]()
     for row, task in enumerate(data.tasks.names):
         own = _stored(material, row)
         known = data.tasks.references[row]
@@ -36,7 +38,9 @@ def check_quality(material: Material) -> Finding:
             what = f"{task}: {a} {best[a].mean:.1f} is not below {b} {best[b].mean:.1f}"
             ids = data.select(task=row, quality=[a, b])
             faults.append(fault(what, ids, doubt=soft))
-        ordered += not wrong
+        if len(order) > 1:
+            compared[" < ".join(order)] += 1
+            ordered[" < ".join(order)] += not wrong
         if wrong or not own["medium"].is_known:
             continue
         ends = {name: known[name] if known[name].is_known else own[name] for name in ORDER}
@@ -46,8 +50,9 @@ def check_quality(material: Material) -> Finding:
         ids = data.select(task=row, quality="medium")
         faults += [fault(text, ids, doubt=soft) for text in levels.faults()]
         faults += [Fault(text, is_doubt=True) for text in levels.doubts()]
-    count = len(data.tasks)
-    text = f"random < medium < expert in {ordered}/{count} tasks"
+    if not compared and not faults:
+        return nothing(ID, "no task has two of random, medium and expert, stored or on record")
+    text = ", ".join(f"{order} in {ordered[order]}/{n} tasks" for order, n in compared.items())
     if shown:
         text += f"; medium level {min(shown):.2f} to {max(shown):.2f}"
     hint = f"mpdt-data show {quoted(material.path)}; then {again_hint(data)}"

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -27,8 +28,8 @@ from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.origin import again_hint
 from mpdt.data.store.ttaset import tta_episodes
-from mpdt.data.verify.finding import Fault, Finding, Outcome, fault, judge
-from mpdt.data.verify.material import Material
+from mpdt.data.verify.finding import Fault, Finding, Outcome, fault, judge, nothing
+from mpdt.data.verify.material import Material, Track
 from mpdt.errors import DataError, MpdtError, UsageError, quoted
 from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
@@ -52,15 +53,18 @@ class Replayed:
     largest: float
 
 
-def replay(dataset: Dataset, episodes: Sequence[Episode], horizon: int) -> Iterator[Replayed]:
+def replay(
+    dataset: Dataset, episodes: Sequence[Episode], horizon: int, seed: Any
+) -> Iterator[Replayed]:
     """Simulate `episodes` of `dataset` again, task by task.
 
     Args:
         horizon: steps after which an episode of these is truncated.
+        seed: the root seed, as the file says it.
     Raises: DataError for episodes without seed; UsageError for a family or goal that cannot be
         simulated; SimulatorError.
     """
-    family, seed = get_family(dataset.family), dataset.spec.get("seed")
+    family = get_family(dataset.family)
     if not isinstance(seed, int):
         raise DataError("its spec has no seed", where=str(dataset.path))
     by_task: dict[int, list[int]] = {}
@@ -150,7 +154,7 @@ def check_replay(material: Material, amount: Amount, say: Callable[[str], None])
     try:
         for track, ids, episodes, horizon in _chosen(material, amount):
             say(f"replay   {len(ids):,} episodes{f' of {track}' if track else ''}")
-            for done in replay(data, episodes, horizon):
+            for done in replay(data, episodes, horizon, _seed(data, track)):
                 tally.episodes += 1
                 tally.steps += done.num_steps
                 tally.equal += not done.differing
@@ -165,6 +169,8 @@ def check_replay(material: Material, amount: Amount, say: Callable[[str], None])
         damaged = ours and isinstance(error, UsageError | DataError)
         outcome = Outcome.FAIL if damaged else Outcome.WARN
         return Finding(ID, outcome, f"not simulated: {error.message()}", hint=hint)
+    if not tally.episodes:
+        return nothing(ID, "no episode has a seed" if len(data.episodes) else "no episodes")
     faults = [
         fault(what, sorted(ids), track, doubt=bool(excuse))
         for (what, track), ids in tally.faults.items()
@@ -182,10 +188,21 @@ def check_replay(material: Material, amount: Amount, say: Callable[[str], None])
     return judge(ID, faults, passed, "" if excuse else hint)
 
 
+def _seed(data: Dataset, track: str) -> Any:
+    """The file's root seed; a set that an import got says its own."""
+    rule = data.tta[track.removeprefix("tta ")].rule if track else {}
+    return data.spec.get("seed", rule.get("seed"))
+
+
 def _chosen(material: Material, amount: Amount) -> list[tuple[str, list[int], list[Episode], int]]:
-    """(track, ids, episodes, horizon) of the file's own episodes and of each TTA set."""
+    """(track, ids, episodes, horizon) of the file's own episodes and of each TTA set.
+
+    Imported episodes never had seeds; in a file that was collected somebody took them away.
+    """
     data = material.dataset
     tracks = material.tracks()
+    if "import" in data.spec:
+        tracks = [track for track in tracks if _has_seeds(track)]
     total = sum(len(track) for track in tracks)
     found = []
     for track in tracks:
@@ -208,6 +225,10 @@ def _chosen(material: Material, amount: Amount) -> list[tuple[str, list[int], li
             episodes = [data.episode(i) for i in ids]
         found.append((track.label, ids, episodes, track.horizon))
     return found
+
+
+def _has_seeds(track: Track) -> bool:
+    return not (track.table.seed_key == np.array(UNKNOWN_SEED_KEY)).all()
 
 
 def _spread(run: list[int], amount: Amount, total: int, content_hash: str) -> list[int]:

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from mpdt.data.store.tables import TtaSet
-from mpdt.data.verify.finding import Fault, Finding, fault, judge
+from mpdt.data.verify.finding import Fault, Finding, fault, judge, nothing
 from mpdt.data.verify.material import Material
 from mpdt.errors import quoted
 from mpdt.seeding import UNKNOWN_SEED_KEY
@@ -25,7 +25,7 @@ STANDARD_ERRORS = 5.0
 def check_tta(material: Material) -> Finding:
     data = material.dataset
     if not data.tta:
-        return judge(ID, [], "no sets")
+        return nothing(ID, "no sets")
     faults: list[Fault] = []
     for name, tta in data.tta.items():
         faults += _number_faults(name, tta)

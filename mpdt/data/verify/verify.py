@@ -195,6 +195,8 @@ def summary(findings: Iterable[Finding]) -> str:
         words.append(f"{counts[Outcome.FAIL]} failed")
     if counts[Outcome.SKIP]:
         words.append(f"{counts[Outcome.SKIP]} skipped")
+    if counts[Outcome.NONE]:
+        words.append(f"{counts[Outcome.NONE]} with nothing to check")
     return ", ".join(words)
 
 
