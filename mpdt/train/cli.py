@@ -86,23 +86,31 @@ def _answer(verb: str, arguments: list[str]) -> int:
     verbose = bool({"-v", "--verbose"} & set(arguments))
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, format="%(message)s")
     try:
-        if verb == "evaluate" and any(word.partition("=")[0] == "--policy" for word in arguments):
-            verb = EVALUATE_POLICY
-        if verb not in COMMANDS:
-            from mpdt.errors import unknown_name
-
-            raise unknown_name("command", verb, COMMANDS, where=PROG)
-        command, rest = tyro.cli(
-            COMMANDS[verb], prog=PROG if verb == "run" else f"{PROG} {verb.split()[0]}",
-            args=_one_data(verb, arguments), return_unknown_args=True,
-        )  # fmt: skip
-        return execute(command, rest)
+        return execute(*parse(verb, arguments))
     except (MpdtError, OSError) as error:
         shown = told(error)
         if verbose:
             traceback.print_exc()
         sys.stderr.write(shown.render() + "\n")
         return shown.exit_code
+
+
+def parse(verb: str, arguments: list[str]) -> tuple[Command, list[str]]:
+    """The command as typed, and what are settings of a run.
+
+    Raises: UsageError for an unknown verb; exits with 2 for a mistyped option.
+    """
+    if verb == "evaluate" and any(word.partition("=")[0] == "--policy" for word in arguments):
+        verb = EVALUATE_POLICY
+    if verb not in COMMANDS:
+        from mpdt.errors import unknown_name
+
+        raise unknown_name("command", verb, COMMANDS, where=PROG)
+    command, rest = tyro.cli(
+        COMMANDS[verb], prog=PROG if verb == "run" else f"{PROG} {verb.split()[0]}",
+        args=_one_data(verb, arguments), return_unknown_args=True,
+    )  # fmt: skip
+    return command, rest
 
 
 def _one_data(verb: str, arguments: list[str]) -> list[str]:

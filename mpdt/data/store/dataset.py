@@ -42,8 +42,8 @@ class Dataset:
         lineage: every step since the data was collected, oldest first: `verb`, what it was made
             `from` (content hashes) and the rule.
         slices: name -> ascending absolute episode ids; `slice_rules` how they were made.
-        stats: field -> statistic -> float64 array, empty before any were computed;
-            `stats_info` holds which slice and tasks they saw.
+        stats_info: `fields` of it, field -> statistic -> float64 array, is `stats`, empty before
+            any were computed; it also holds which slice and tasks they saw.
         tta: name -> unlabelled episodes; their simulated rewards are not reachable from here.
     """
 
@@ -129,8 +129,8 @@ class Dataset:
     def task_row(self, name_or_row: str | SupportsIndex) -> int:
         """Row of the task table.
 
-        Raises: UsageError naming the nearest task of the file; TypeError for what is neither a
-            name nor a whole number.
+        Raises: UsageError naming the nearest task of the file; TypeError for neither a name nor a
+        whole number.
         """
         if isinstance(name_or_row, str):
             if name_or_row in self.tasks.names:
