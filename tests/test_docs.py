@@ -73,8 +73,8 @@ def test_a_command_of_ours_that_fails_fails_the_page(tmp_path: Path) -> None:
 
 def commands_in(page: str) -> list[list[str]]:
     """The words of every command of ours in its blocks, without a remark behind it."""
-    lines = [line for block in re.findall(r"^```\w*\n(.*?)^```$", page, re.M | re.S)
-             for part in block.replace("\\\n", "").splitlines() for line in part.split(" && ")]  # fmt: skip
+    blocks = "".join(re.findall(r"^```\w*\n(.*?)^```$", page, re.M | re.S)).replace("\\\n", "")
+    lines = blocks.replace(" && ", "\n").splitlines()
     typed = [re.split(r" {2,}| # ", line.removeprefix("$ "))[0] for line in lines]
     return [shlex.split(line) for line in typed if re.match("mpdt-(data|train) ", line)]
 
