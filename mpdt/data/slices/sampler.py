@@ -95,7 +95,7 @@ class WindowSampler:
     ) -> None:
         self.tasks = np.asarray(tasks, np.int64)
         self.window, self.per_task, self.seed = window, per_task, seed
-        self.start_bias, self.order = start_bias, order
+        self._start_bias, self.order = start_bias, order
         self.num_slots = min(tasks_per_update or len(tasks), len(tasks))
         self._dataset = dataset
         self._cutter = WindowCutter(dataset, window)
@@ -115,8 +115,13 @@ class WindowSampler:
         ids = dict(zip(self.tasks.tolist(), self._ids, strict=True))
         return WindowSampler, (
             self._dataset, ids, self.tasks.tolist(), self.window, self.per_task, self.seed,
-            self.start_bias, self.num_slots, self.order,
+            self._start_bias, self.num_slots, self.order,
         )  # fmt: skip
+
+    @property
+    def start_bias(self) -> int:
+        """To be read alone: another one is another sampler, whose table was made for it."""
+        return self._start_bias
 
     def __getitem__(self, step: int) -> WindowBatch:
         """`batch`, under the name by which torch's DataLoader asks for it."""

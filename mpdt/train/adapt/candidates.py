@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import msgspec
 import numpy as np
 import torch
 from torch import Tensor
@@ -261,19 +262,21 @@ class Candidates:
         if self._log is not None:
             self._log.append(record)
 
-    def _sampler(self, ids: Mapping[int, Ids] | None = None) -> WindowSampler:
-        seed = phase_seed(self._config.seed, "statistics")
-        return self._material.sampler(self._config.sampler, seed, ids)
+    def _sampler(
+        self, ids: Mapping[int, Ids] | None = None, every_task: bool = False
+    ) -> WindowSampler:
+        """X is covered evenly; a training sampler may show the beginning of episodes more often."""
+        settings = msgspec.structs.replace(self._config.sampler, start_bias=0)
+        if every_task:
+            settings = msgspec.structs.replace(settings, tasks_per_update=0)
+        return self._material.sampler(settings, phase_seed(self._config.seed, "statistics"), ids)
 
     def _statistics(self) -> LayerStatistics:
         settings = self._config.statistics
         ids = self._material.random_ids() if settings.source == "random" else None
-        sampler = self._sampler(ids)
-        # X is covered evenly; a training sampler may show the beginning of episodes more often.
-        sampler.start_bias = 0
         trained = self._trained
         return source_statistics(
-            trained.policy, trained.prompts, sampler, trained.returns, settings
+            trained.policy, trained.prompts, self._sampler(ids), trained.returns, settings
         )
 
     @torch.no_grad()
@@ -282,8 +285,7 @@ class Candidates:
 
         Every training task counts the same, however many of them an update takes.
         """
-        trained, sampler = self._trained, self._sampler()
-        sampler.num_slots, sampler.start_bias = len(self._material.train_rows), 0
+        trained, sampler = self._trained, self._sampler(every_task=True)
         parts = trained.prompts.task_parts()
         losses = np.zeros(len(parts))
         for number in range(DONOR_BATCHES):

@@ -15,6 +15,7 @@ import torch
 
 from mpdt.data.reference import References
 from mpdt.data.sim.actors import UniformPolicy, ZeroPolicy
+from mpdt.data.slices.sampler import SamplerSettings
 from mpdt.model.prompts import AdaptedPrompts, PromptSettings, SharedPrompt
 from mpdt.model.returns import ReturnTable
 from mpdt.train.adapt import candidates
@@ -169,10 +170,15 @@ def test_knowing_the_task_is_told_where_only_the_goal_is_unseen(judged, monkeypa
 
 def test_statistics_show_episodes_evenly(tiny_file, monkeypatch):
     """X is covered once per step, so the source must not favour the beginning of episodes."""
-    drawn = SimpleNamespace(start_bias=30)
     subject = make_judge(tiny_file)
-    monkeypatch.setattr(Material, "sampler", lambda *_: drawn)
     monkeypatch.setattr(
-        candidates, "source_statistics", lambda policy, prompts, sampler, *_: sampler.start_bias
+        candidates,
+        "source_statistics",
+        lambda policy, prompts, sampler, *_: sampler.batch(0).starts,
     )
-    assert Candidates(subject.trained, subject.config)._statistics() == 0
+    even, biased = (
+        Candidates(subject.trained, msgspec.structs.replace(
+            subject.config, sampler=SamplerSettings(per_task=64, start_bias=bias)
+        ))._statistics() for bias in (0, 1000)
+    )  # fmt: skip
+    assert even.any() and np.array_equal(even, biased)
