@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from mpdt.data.interface import collect as collect
     from mpdt.data.interface import open as open
     from mpdt.data.interface import windows as windows
+    from mpdt.data.spec.family import Family as Family
+    from mpdt.data.spec.family import Task as Task
+    from mpdt.data.spec.family import View as View
+    from mpdt.data.spec.own import register_family as register_family
     from mpdt.train.run.load import load_policy as load_policy
 
 from mpdt.version import __version__ as __version__
@@ -24,6 +28,10 @@ _HOMES = {
     "open": "mpdt.data.interface",
     "collect": "mpdt.data.interface",
     "windows": "mpdt.data.interface",
+    "Family": "mpdt.data.spec.family",
+    "Task": "mpdt.data.spec.family",
+    "View": "mpdt.data.spec.family",
+    "register_family": "mpdt.data.spec.own",
     "load_policy": "mpdt.train.run.load",
 }
 

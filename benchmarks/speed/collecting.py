@@ -85,7 +85,7 @@ def native(plan: Any, block: Any, episodes: list[Any]) -> Callable[[], int]:
     keys = block.keys(plan.family, plan.spec.seed)
     env.reset(keys, env.draw_goals(keys))
     start = env._state.copy()
-    model = ROBOTS[plan.family.robot].model()
+    model = ROBOTS[plan.family.scene.partition("/")[0]].model()
     data = mujoco.MjData(model)
     controls = []
     for episode in episodes:

@@ -15,7 +15,6 @@ from mpdt.data.card.film import Film
 from mpdt.data.lock.file import LockEntry
 from mpdt.data.lock.fingerprint import is_as_locked
 from mpdt.data.reference import REFERENCE_POLICIES
-from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.spec.yamltext import dump_yaml
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.verify.finding import Finding, Outcome
@@ -23,12 +22,6 @@ from mpdt.data.verify.verify import Report, summary
 from mpdt.draw.html import render
 from mpdt.version import __version__
 
-ROBOTS = {
-    "direction": "A planar cheetah is to run in one of two directions",
-    "velocity": "A planar cheetah is to run at a given speed",
-    "heading": "A four-legged ant is to run in a given direction",
-    "metaworld": "A robot arm does tasks of Meta-World",
-}
 REFERENCE_NAMES = {
     "zero": "zero action", "random": "random", "constant": "best constant", "expert": "expert",
 }  # fmt: skip
@@ -86,7 +79,7 @@ def _count(number: int, thing: str) -> str:
 
 
 def _told(facts: Facts) -> str:
-    data, family = facts.data, FAMILIES.get(facts.data.family)
+    data, family = facts.data, facts.family
     roles = [task.role for task in facts.tasks]
     split = ", ".join(
         f"{_count(roles.count(role), 'task')} {words}"
@@ -100,8 +93,9 @@ def _told(facts: Facts) -> str:
     horizon = data.spec.get("horizon", family.horizon)
     goal = "hidden from the observation" if family.goal_hidden else "in the observation"
     return (
-        f"{ROBOTS[family.reward]}: {split}. {sizes.capitalize()} within [{family.action_low:g}, "
-        f"{family.action_high:g}]; at most {horizon} steps of {family.step_s * 1000:g} ms; "
+        f"{family.about or f'Family {family.name}'}: {split}. {sizes.capitalize()} within "
+        f"[{family.action_low:g}, {family.action_high:g}]; at most {horizon} steps of "
+        f"{family.step_s * 1000:g} ms; "
         f"the goal is {goal}."
     )
 

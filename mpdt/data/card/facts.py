@@ -14,10 +14,11 @@ import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.reference import References, level
+from mpdt.data.spec.family import Family
 from mpdt.data.store import layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.tables import Float64, Int64
-from mpdt.errors import DataError
+from mpdt.errors import DataError, MpdtError
 
 QUALITIES = {**QUALITY_CODES, "unknown": -1}
 ROLES = {code: role for role, code in layout.ROLE_CODES.items()}
@@ -84,6 +85,14 @@ class Facts:
     slice: str | None
     ids: Int64
     tasks: tuple[TaskFacts, ...]
+
+    @cached_property
+    def family(self) -> Family | None:
+        """Where mpdt or the file knows it."""
+        try:
+            return self.data.contract()
+        except MpdtError:
+            return None
 
     @classmethod
     def of(cls, data: Dataset, slice: str | None = None) -> Facts:

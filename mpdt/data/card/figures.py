@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from mpdt.data.card.facts import Facts, TaskFacts
-from mpdt.data.spec.tasks import FAMILIES
 from mpdt.draw.chart import (
     Axis,
     Chart,
@@ -149,7 +148,7 @@ def lengths_chart(facts: Facts) -> Chart | None:
 
 def action_charts(facts: Facts) -> list[Chart]:
     """Distribution of every action component per quality."""
-    data, family = facts.data, FAMILIES.get(facts.data.family)
+    data, family = facts.data, facts.family
     samples = {quality: _some_actions(facts, quality) for quality in facts.qualities}
     charts = []
     for column in range(data.action_size):

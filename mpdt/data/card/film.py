@@ -29,7 +29,7 @@ from mpdt.data.sim.batch import HasScene
 from mpdt.data.sim.camera import NO_SCREEN, Camera, Pixels
 from mpdt.data.sim.simulators import make_batch
 from mpdt.data.sim.stored import watch_stored
-from mpdt.data.spec.tasks import Family, get_family
+from mpdt.data.spec.family import Family, view_of
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 from mpdt.errors import DataError, MpdtError, SimulatorError
@@ -64,13 +64,14 @@ def shoot(file: Dataset | Path, ids: Sequence[int], num_frames: int | None = 6) 
         simulated; SimulatorError if nothing here can draw, with what to install.
     """
     data, refused = file if isinstance(file, Dataset) else open_dataset(file), []
-    get_family(data.family)  # before a process is started for it
+    family = data.contract()  # the child may not know it yet
+    view_of(family)  # before a process is started for it
     for way in ways_to_draw():
         try:
             with ProcessPoolExecutor(
                 1, mp_context=get_context("spawn"), initializer=_use, initargs=(way,)
             ) as pool:
-                return pool.submit(film_here, data, list(ids), num_frames).result()
+                return pool.submit(film_here, family, data, list(ids), num_frames).result()
         except MpdtError:
             raise
         except BrokenProcessPool:
@@ -94,25 +95,28 @@ def _use(way: str) -> None:
     os.environ["MUJOCO_GL"] = way
 
 
-def film_here(data: Dataset, ids: Sequence[int], num_frames: int | None) -> list[Film]:
+def film_here(
+    family: Family, data: Dataset, ids: Sequence[int], num_frames: int | None
+) -> list[Film]:
     """Film with the OpenGL of this very process."""
-    return [_film(data, episode_id, num_frames) for episode_id in ids]
+    return [_film(family, data, episode_id, num_frames) for episode_id in ids]
 
 
-def _film(data: Dataset, episode_id: int, num_frames: int | None) -> Film:
-    episode, family = data.episode(episode_id), get_family(data.family)
+def _film(family: Family, data: Dataset, episode_id: int, num_frames: int | None) -> Film:
+    episode, view = data.episode(episode_id), view_of(family)
     length = episode.length
     places = np.linspace(0, length, num_frames or length + 1).round().astype(int)
     wanted = sorted(set(places.tolist()))
     frames, is_equal = [], True
     env = make_batch(family, [family.tasks[episode.task]], dict(data.spec.get("env") or {}))
-    assert isinstance(env, HasScene)
+    if not isinstance(env, HasScene):
+        raise SimulatorError("no picture: this family's simulator shows none", where=family.name)
     model, _ = env.scene(0)
-    if family.simulator != "metaworld":
-        floor = model.geom("floor")  # only its picture has an end, which experts run past
+    if view.floor:
+        floor = model.geom(view.floor)  # only its picture has an end, which experts run past
         floor.size[:2] *= FLOORS
         model.mat_texrepeat[floor.matid] *= FLOORS
-    with closing(Camera(model, family.robot, HEIGHT, WIDTH)) as camera:
+    with closing(Camera(model, view, HEIGHT, WIDTH)) as camera:
         for step, seen in enumerate(watch_stored(env, episode, _key(data, family, episode))):
             shown = seen.astype(np.float32)
             shown[list(family.hidden_columns)] = 0.0
@@ -127,6 +131,6 @@ def _key(data: Dataset, family: Family, episode: Episode) -> SeedKey:
     seed = data.spec.get("seed")
     if isinstance(seed, int) and episode.seed_key != UNKNOWN_SEED_KEY:
         return SeedKey(seed, *episode.seed_key)
-    if family.simulator == "metaworld":  # the goal alone decides how it begins
+    if family.draws_goals:  # the goal alone decides how it begins
         return SeedKey(0, *UNKNOWN_SEED_KEY)
     raise DataError("an episode without a seed cannot be simulated again", where=str(data.path))

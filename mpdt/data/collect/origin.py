@@ -17,6 +17,7 @@ import msgspec
 from mpdt.data.episode import PolicyInfo
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.spec.env import describe_env
+from mpdt.data.spec.family import own_definition
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.inherit import task_rows
@@ -118,6 +119,7 @@ def header_of_policy(
         spec: entries that take the place of the data's.
     """
     family = get_family(origin.family)
+    told_of = own_definition(family)
     name = origin.name if "policy" in origin.spec else f"{origin.name}-policy"
     own = {k: v for k, v in origin.spec.items() if k not in ("import", "tta")}
     told = acted.told
@@ -131,7 +133,10 @@ def header_of_policy(
         observation_size=family.observation_size,
         action_size=family.action_size,
         has_success=family.has_success,
-        tasks=[replace(one, env=describe_env(own, family.name, one.name)) for one in tasks],
+        tasks=[
+            replace(one, env=describe_env(own, family.name, one.name, told_of)) for one in tasks
+        ],
         policies=[acted.info(task.index, levels[task.index]) for task in tasks],
         lineage=[{"verb": verb, "rule": told, "from": [origin.content_hash]}],
+        definition=told_of,
     )

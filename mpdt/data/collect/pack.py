@@ -20,6 +20,7 @@ from mpdt.data.episode import Episode
 from mpdt.data.reference import References
 from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.env import describe_env
+from mpdt.data.spec.family import own_definition
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
@@ -84,6 +85,7 @@ def header_of(job: Job) -> FileHeader:
     plan = job.plan
     spec, family = plan.spec, plan.family
     packages, plain = provenance.packages(), msgspec.to_builtins(spec)
+    told_of = own_definition(family)
     if job.ladder is not None and job.ladder.weights:  # the spec says where they lay
         packages[provenance.WEIGHTS] = job.ladder.weights
     return FileHeader(
@@ -96,11 +98,17 @@ def header_of(job: Job) -> FileHeader:
         action_size=family.action_size,
         has_success=family.has_success,
         tasks=[
-            TaskRow(task.name, task.index, task.role, describe_env(plain, spec.family, task.name))
+            TaskRow(
+                task.name,
+                task.index,
+                task.role,
+                describe_env(plain, spec.family, task.name, told_of),
+            )
             for task in plan.tasks
         ],
         policies=job.policies,
         packages=packages,
+        definition=told_of,
     )
 
 

@@ -26,9 +26,6 @@ REFERENCES = {
     "expert": Quality.REFERENCE_EXPERT,
     "zero": Quality.REFERENCE_ZERO,
 }
-# Env steps per second and worker, for the estimate only; measured on two shared cores, with
-# the policy in the loop.
-STEPS_PER_S = {"cheetah": 20_000.0, "ant": 5_000.0, "sawyer": 4_000.0}
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,7 @@ class Plan:
 
     def seconds(self, workers: int) -> float:
         """Rough time to collect everything with `workers` processes."""
-        return self.num_steps / STEPS_PER_S[self.family.robot] / max(1, workers)
+        return self.num_steps / self.family.steps_per_s / max(1, workers)
 
 
 def make_plan(spec: DatasetSpec, records: Mapping[str, Record] | None = None) -> Plan:

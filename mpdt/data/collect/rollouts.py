@@ -41,8 +41,6 @@ from mpdt.seeding import HISTORY_STRIDE, Quality
 VERB = "rollout"
 NAME = "policy"
 """Of the quality."""
-SIDE_BY_SIDE = {"metaworld": 10, "locomotion": 25}
-"""Rows a policy answers at once; another number may give other last bits."""
 MOST_SERIES = 65_000
 
 
@@ -93,7 +91,7 @@ class RollOuts:
             for task in tasks
             for number, rows in cut(self.episodes, spec.block)
         )  # fmt: skip
-        width = min(SIDE_BY_SIDE[family.simulator], spec.block)
+        width = min(family.policy_rows, spec.block)
         return Job(Plan(spec, family, tasks, blocks, side_by_side=width), self.actor)
 
 

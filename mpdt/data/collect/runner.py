@@ -24,21 +24,18 @@ from mpdt.data.sim.simulators import make_batch
 from mpdt.errors import DataError
 from mpdt.seeding import SeedKey
 
-LOCKSTEP = 50  # rows of Meta-World side by side: more save nothing
 PER_WORKER = 4  # bundles, so that no worker idles for long at the end
 
 
 def bundled(plan: Plan, blocks: Sequence[Block], workers: int) -> list[tuple[Block, ...]]:
     """Blocks in their order, those together that a worker steps side by side.
 
-    Only Meta-World's: its rows share a simulator, and what a step costs beside the physics is
-    nearly the same for ten rows and for fifty. Not where one policy acts in all blocks, as in
-    roll-outs: it knows one set of rows at a time.
+    Only where a family says up to how many rows that pays, as Meta-World's do. Not where one policy
+    acts in all blocks, as in roll-outs: it knows one set of rows at a time.
     """
     found: list[tuple[Block, ...]] = []
     share = sum(block.rows for block in blocks) // (PER_WORKER * max(1, workers))
-    cheap = plan.family.simulator == "metaworld" and not plan.side_by_side
-    most = min(LOCKSTEP, share) if cheap else 0
+    most = 0 if plan.side_by_side else min(plan.family.bundle_rows, share)
     for block in blocks:
         last = found[-1] if found else ()
         rows = block.rows + sum(other.rows for other in last)

@@ -28,6 +28,7 @@ from mpdt.data.episode import (
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.treatment import RawEpisode, Rules, Treated, treat
 from mpdt.data.spec.env import describe_env
+from mpdt.data.spec.family import own_definition
 from mpdt.data.spec.tasks import Task
 from mpdt.data.store import provenance
 from mpdt.data.store.licence import combined
@@ -202,10 +203,10 @@ def _episode(source: Source, raw: RawEpisode, found: Treated) -> Episode:
 def _header(
     rules: Rules, name: str, tasks: Sequence[Task], tallies: Sequence[_Tally]
 ) -> FileHeader:
-    family, nan = rules.family, float("nan")
+    family, nan, told = rules.family, float("nan"), own_definition(rules.family)
 
     def task_row(task: Task) -> TaskRow:
-        env = describe_env({"horizon": rules.horizon}, family.name, task.name)
+        env = describe_env({"horizon": rules.horizon}, family.name, task.name, told)
         return TaskRow(task.name, task.index, task.role, env)
 
     versions = provenance.packages()
@@ -231,6 +232,7 @@ def _header(
         ],
         packages={package: versions[package] for package in _OWN_PACKAGES if package in versions},
         platform={},
+        definition=told,
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from mpdt.data.episode import Episode
 from mpdt.data.exchange import arrow
 from mpdt.data.exchange.selection import Selection
-from mpdt.data.spec.tasks import Family, get_family
+from mpdt.data.spec.tasks import Family
 from mpdt.version import __version__
 
 LOST = "the observation after the last step of every episode, seeds, policies and quality"
@@ -36,7 +36,7 @@ Columns = dict[str, NDArray[Any]]
 
 def write(selection: Selection, folder: Path) -> None:
     """The tree of one dataset. Memory holds one column of all steps. Raises: OSError."""
-    family = get_family(selection.header.family)
+    family = selection.dataset.contract()
     data, lengths = selection.dataset, selection.dataset.episodes.length[selection.ids]
     step_bytes = 4 * (data.observation_size + data.action_size) + 48
     sizes = np.cumsum(lengths.astype(np.int64)) * step_bytes // (MAX_FILE_MB * 1_000_000)
@@ -133,7 +133,7 @@ def _write_meta(
     (meta / "stats.json").write_text(json.dumps(_all_stats(files), indent=4), "utf-8")
     info = {
         "codebase_version": "v3.0",
-        "robot_type": family.robot,
+        "robot_type": family.scene.partition("/")[0] or family.name,
         "total_episodes": len(episodes),
         "total_frames": selection.num_steps,
         "total_tasks": len(tasks),

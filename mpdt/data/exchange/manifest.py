@@ -15,6 +15,8 @@ from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.spec.entry import canonical_json
 from mpdt.data.spec.env import describe_env
+from mpdt.data.spec.family import stored_family
+from mpdt.data.spec.rules import plain_problems
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.errors import FormatError, MissingFileError
 from mpdt.reading import decode_json
@@ -60,6 +62,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         """Canonical JSON with its hash; NaN, which JSON does not have, as the text `nan`."""
         said = _without_nan(msgspec.to_builtins(self))
         del said["is_proven"]
+        if not said["header"]["definition"]:
+            del said["header"]["definition"]  # of a family that mpdt ships
         return canonical_json(said | {_HASH: _hash_of(said)}).decode()
 
     @classmethod
@@ -92,7 +96,9 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
             raise FormatError("the ids of the file it was cut out of were changed", where=KEY,
                               hint="export it again")  # fmt: skip
         header, tasks = self.header, self.header.tasks
-        envs = (describe_env(header.spec, header.family, task.name) for task in tasks)
+        envs = (
+            describe_env(header.spec, header.family, task.name, header.definition) for task in tasks
+        )
         ours = [replace(task, env=env) for task, env in zip(tasks, envs, strict=True)]
         told = (*remarks, *(() if self.is_proven else (_UNPROVEN,)))
         return Incoming(replace(header, tasks=ours), source, self.content_hash, told)
@@ -101,6 +107,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 def _check_numbers(manifest: Manifest) -> None:
     """Raises: ValueError for a number that no file of ours has room for."""
     header, most = manifest.header, 1 << 31
+    if header.definition and plain_problems(stored_family(header.definition)):
+        raise ValueError("its definition of the family is none")
     found = [header.observation_size, header.action_size]
     for task in header.tasks:
         found += [task.index, *(one.episodes for one in task.references.by_name.values())]

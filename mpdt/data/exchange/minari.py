@@ -36,7 +36,6 @@ from mpdt.data.exchange.minari_claims import goal_of, safe, said_in, said_of_epi
 from mpdt.data.exchange.selection import Run, Selection
 from mpdt.data.exchange.treatment import RawEpisode, Rules, check_length
 from mpdt.data.spec.env import describe_env
-from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.errors import DataError, FormatError, ShapeError, UsageError
 from mpdt.reading import decode_json, read_plain, refuse_other
@@ -133,8 +132,10 @@ def _check_links(path: Path, selection: Selection, run: Run) -> None:
 
 def _metadata(selection: Selection, run: Run, name: str) -> dict[str, Any]:
     data = selection.dataset
-    env = describe_env(data.spec, data.family, run.task.name)  # ours, whatever the file says
-    family = get_family(data.family)
+    env = describe_env(
+        data.spec, data.family, run.task.name, data.definition
+    )  # ours, whatever the file says
+    family = data.contract()
     bound = {"observation": math.inf, "action": family.action_high}
     spaces = {
         f"{kind}_space": json.dumps({
@@ -145,7 +146,7 @@ def _metadata(selection: Selection, run: Run, name: str) -> dict[str, Any]:
     }  # fmt: skip
     gym_name = safe(f"{data.family}-{run.task.name}")
     spec = EnvSpec(id=f"mpdt/{gym_name}-v0", entry_point=env["entry_point"], kwargs=env["kwargs"])
-    needed = ("mpdt", "mujoco", *(["metaworld"] if family.simulator == "metaworld" else []))
+    needed = ("mpdt", *reversed(family.packages))
     low, high = run.task.references["random"].mean, run.task.references["expert"].mean
     return {
         "dataset_id": name,

@@ -84,7 +84,7 @@ def _in_env(text: Any, family: Family) -> Said:
         return found
     env = arguments.get("env_name")
     task = _VERSION.sub("", env) if isinstance(env, str) else ""
-    known = family.robot == "sawyer" and task in {one.name for one in family.tasks}
+    known = "metaworld" in family.packages and task in {one.name for one in family.tasks}
     return Said(task=task, by="its env_spec") if known else Said()
 
 

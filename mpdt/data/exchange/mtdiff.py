@@ -35,7 +35,7 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
         naming file and episode.
     """
     rules = foreign.given(rules)
-    if rules.family.robot != "sawyer":
+    if "metaworld" not in rules.family.packages:
         raise UsageError(f"{rules.family.name} is not of Meta-World", where="--family",
                          hint="ml10, ml45, mt10 or mt50")  # fmt: skip
     known = {task.name: task for task in rules.family.tasks}

@@ -84,7 +84,7 @@ def _said(path: Path, env: str, index: int, quality: str, family: Family) -> Sai
     """
     by = "its name"
     if single := _ML1.fullmatch(env):  # fifty goals of one task
-        known = family.robot == "sawyer" and single["task"] in {t.name for t in family.tasks}
+        known = "metaworld" in family.packages and single["task"] in {t.name for t in family.tasks}
         return Said("" if known else env, single["task"], quality, by=by)
     if env not in FAMILIES:
         return Said(quality=quality, by=by)

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.data.exchange.pickle_machine import kind_of
-from mpdt.data.spec.entry import ENV_OPTIONS
 from mpdt.data.spec.tasks import FAMILIES, Family
 from mpdt.errors import DataError, ShapeError, UsageError, quoted
 
@@ -216,7 +215,7 @@ def _flags(raw: RawEpisode, length: int, rules: Rules, where: str) -> tuple[Flag
         raise DataError("cut off before the time limit", where=where,
                         expected=f"{rules.horizon} steps", found=str(length),
                         hint=f"if that was its limit: --horizon {quoted(length)}")  # fmt: skip
-    if terminations[-1] and "terminate" not in ENV_OPTIONS[rules.family.robot]:
+    if terminations[-1] and not rules.family.ends_early:
         raise DataError(f"{rules.family.name} has no end but its time limit", where=where,
                         expected=f"{rules.horizon} steps", found=str(length),
                         hint=f"if that was its limit: --horizon {quoted(length)}")  # fmt: skip

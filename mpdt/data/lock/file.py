@@ -33,7 +33,7 @@ from mpdt.data.spec.entry import (
     spec_hash,
 )
 from mpdt.data.spec.strict import build
-from mpdt.data.spec.tasks import FAMILIES
+from mpdt.data.spec.tasks import find_family
 from mpdt.data.spec.yamltext import dump_yaml, load_yaml
 from mpdt.errors import FormatError, MissingFileError, SpecError
 from mpdt.reading import read_plain
@@ -91,9 +91,9 @@ def decisive_packages(family: str) -> tuple[str, ...]:
 
     The others write the numbers down; that mpdt itself keeps them is what the lock is for.
     """
-    known = FAMILIES.get(family)
-    scripted = ("metaworld",) if known is None or known.simulator == "metaworld" else ()
-    return ("gymnasium", *scripted, "mujoco", "numpy")
+    known = find_family(family)
+    own = ("metaworld", "mujoco") if known is None else known.packages
+    return ("gymnasium", *own, "numpy")
 
 
 def run_text(digests: bytes) -> str:

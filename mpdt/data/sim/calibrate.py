@@ -1,4 +1,4 @@
-"""Calibrate: which mixing rate makes a Meta-World script `medium`, measured per task.
+"""Calibrate: which mixing rate makes a script `medium`, measured per task.
 
     level(u) = (R(u) - R(1)) / (R(0) - R(1))     u = chance per step of a uniform action
 
@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from mpdt.data.sim.book import versions
@@ -30,9 +31,10 @@ from mpdt.data.sim.calibration import (
     read_calibrations,
     save_calibrations,
 )
-from mpdt.data.sim.probe import Gauge, Probe
-from mpdt.data.sim.scripted import ScriptedPolicy
-from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.sim.ladder import load_ladder
+from mpdt.data.sim.probe import Gauge, Probe, Script
+from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts
+from mpdt.data.spec.tasks import get_family
 from mpdt.data.workers.processes import map_blocks
 from mpdt.errors import DataError, Lines, SpecError, quoted
 
@@ -123,6 +125,7 @@ def _on_grid(rate: float, away_from: float | None = None) -> float:
 
 
 def calibrate_task(
+    script: Script,
     task_name: str,
     horizons: Iterable[int],
     *,
@@ -139,7 +142,7 @@ def calibrate_task(
     Raises: DataError if the script is no better than uniform actions, or if no measured
         rate comes into BAND (more `careful` episodes may help).
     """
-    probe = Probe(task_name, seed)
+    probe = Probe(script, task_name, seed)
     return [
         _calibrate(probe, horizon, coarse, careful) for horizon in sorted(horizons, reverse=True)
     ]
@@ -178,13 +181,14 @@ def _calibrate(probe: Probe, horizon: int, coarse: int, careful: int) -> Calibra
         curve=curve,
         seed=probe.seed,
         versions=versions(),
-        policy=script_hash(probe.task.name),
+        policy=script_hash(probe.script, probe.task.name),
+        env=dict(probe.script.env),
     )
 
 
-def script_hash(task_name: str) -> str:
+def script_hash(script: Script, task_name: str) -> str:
     """What a calibration holds for: the hash of the expert whose actions are mixed."""
-    return ScriptedPolicy([task_name]).info.hash.hex()
+    return script.policy(task_name).info.hash.hex()
 
 
 def is_monotone(curve: Sequence[Measurement], script_error: float) -> bool:
@@ -213,7 +217,7 @@ def calibrate(
     restart: bool = False,
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> Path:
-    """Calibrate every task of a Meta-World spec; about two minutes of processor time each.
+    """Calibrate every task of a spec with a script; two minutes each where it is Meta-World's.
 
     What the target holds already, of the same script, seed and package versions, is kept.
 
@@ -229,24 +233,26 @@ def calibrate(
         for a target that is no calibration file, both before anything is measured; DataError
         at the end, naming the tasks that cannot be calibrated.
     """
-    if spec.behaviour.script != "metaworld":
+    if spec.behaviour.script is None:
         raise SpecError(
             "nothing to calibrate: only scripted behaviour has a mixing rate",
             where=f"{spec.name}.behaviour",
             hint=f"mpdt-data pretrain {quoted(spec.name)}",
         )
-    target = target or local_path()
+    load_ladder(msgspec.structs.replace(spec, episodes=EpisodeCounts()))  # the script is there
+    script, family = Script.of(spec), get_family(spec.family)
+    target = target or local_path(None, family.rates or family.name)
     check_target(target)
     names = [task.name for task in spec.resolve_tasks()]
     wanted = [(name, horizon) for name in names for horizon in horizons or (spec.horizon,)]
-    known = set() if restart else _still_valid(target, wanted, seed)
+    known = set() if restart else _still_valid(script, target, wanted, seed)
     if known:
         on_progress(f"in {target} already: " + ", ".join(f"{n} {h}" for n, h in sorted(known)))
     jobs = [
-        (name, tuple(h for n, h in wanted if n == name and (n, h) not in known), seed)
+        (script, name, tuple(h for n, h in wanted if n == name and (n, h) not in known), seed)
         for name in names
     ]
-    jobs = [job for job in jobs if job[1]]
+    jobs = [job for job in jobs if job[2]]
     faults: list[DataError] = []
     for number, answer in enumerate(map_blocks(_do, jobs, workers), 1):
         if isinstance(answer, DataError):
@@ -264,21 +270,22 @@ def calibrate(
     return target
 
 
-def _do(job: tuple[str, tuple[int, ...], int]) -> list[Calibration] | DataError:
+def _do(job: tuple[Script, str, tuple[int, ...], int]) -> list[Calibration] | DataError:
     """One task in a worker; its failure must not end the others."""
-    name, horizons, seed = job
+    script, name, horizons, seed = job
     try:
-        return calibrate_task(name, horizons, seed=seed)
+        return calibrate_task(script, name, horizons, seed=seed)
     except DataError as error:
         return error
 
 
-def _still_valid(target: Path, wanted: Sequence[Place], seed: int) -> set[Place]:
-    """Those places whose entry in `target` rests on today's script, packages and seed."""
+def _still_valid(script: Script, target: Path, wanted: Sequence[Place], seed: int) -> set[Place]:
+    """Those places whose entry in `target` rests on today's script, options, packages and seed."""
     entries = read_calibrations(target) if target.exists() else {}
     return {
         place
         for place in wanted
         if (entry := entries.get(place)) is not None
-        and (entry.policy, entry.versions, entry.seed) == (script_hash(place[0]), versions(), seed)
+        and (entry.policy, entry.env) == (script_hash(script, place[0]), dict(script.env))
+        and (entry.versions, entry.seed) == (versions(), seed)
     }

@@ -1,7 +1,8 @@
-"""Calibration: the mixing rate of `medium` per Meta-World task, as data with its evidence.
+"""Calibration: the mixing rate of `medium` per task of a script, as data with its evidence.
 
-Shipped in `weights/metaworld.json`, one line per (task, horizon). `calibrate.py` measures, into
-LOCAL_FILE of the working folder; a rate that is there wins over the shipped one.
+Those of Meta-World are shipped in `weights/metaworld.json`, one line per (task, horizon).
+`calibrate.py` measures, into a file of the working folder; a rate that is there wins over the
+shipped one.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from mpdt.disk import check_replaceable, holding
 from mpdt.draw.table import markdown_table
 
 FORMAT = "mpdt-calibration/1"
-LOCAL_FILE = "metaworld.calibration.json"
+SHIPPED = "metaworld"
+"""Whose mixing rates mpdt comes with."""
+LOCAL_FILE = f"{SHIPPED}.calibration.json"
 
 Place = tuple[str, int]
 """What a calibration is for: task name and horizon."""
@@ -44,9 +47,11 @@ class Calibration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         random, medium, expert: measured at rate 1, `rate` and 0.
         monotone: the curve neither turns nor rises above the script, but for noise.
         curve: every coarse measurement, from the random side to the script's.
-        seed: root seed; episodes use family mt50, quality CALIBRATION, block 0, rows 0, 1, ...
+        seed: root seed; episodes use quality CALIBRATION, block 0, rows 0, 1, ... of the family, of
+            Meta-World mt50.
         versions: packages the numbers were measured with.
         policy: hash (hex) of the script that was mixed; "" in files older than this field.
+        env: simulator options.
     """
 
     task: str
@@ -61,6 +66,7 @@ class Calibration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     seed: int
     versions: dict[str, str]
     policy: str = ""
+    env: dict[str, float | bool] = {}
 
     def level_at(self, rate: float) -> float:
         """Level of any rate, linear between the measured ones."""
@@ -70,28 +76,29 @@ class Calibration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return float(np.interp(rate, list(levels), list(levels.values())))
 
 
-def load_calibrations(folder: Path | None = None) -> dict[Place, Calibration]:
-    """Calibrations by (task, horizon): those of `folder`/LOCAL_FILE, then the shipped ones.
+def load_calibrations(folder: Path | None = None, rates: str = SHIPPED) -> dict[Place, Calibration]:
+    """Calibrations by (task, horizon): those of `local_path(folder)`, then the shipped ones.
 
     A local one wins, so that a user can repair a rate; `Ladder.notice` tells of it, and the
     hash of the policy that acted is part of every episode's digest.
 
+    Args:
+        rates: of which families, see `Family.rates`.
     Raises: DataError for a file that is not a calibration; StorageError.
     """
-    return read_calibrations(
-        Path(str(resources.files("mpdt.data.weights"))) / "metaworld.json"
-    ) | load_local(folder)
+    shipped = Path(str(resources.files("mpdt.data.weights"))) / f"{SHIPPED}.json"
+    return (read_calibrations(shipped) if rates == SHIPPED else {}) | load_local(folder, rates)
 
 
-def load_local(folder: Path | None = None) -> dict[Place, Calibration]:
-    """The calibrations of `folder`/LOCAL_FILE alone. Raises: as `load_calibrations`."""
-    path = local_path(folder)
+def load_local(folder: Path | None = None, rates: str = SHIPPED) -> dict[Place, Calibration]:
+    """The calibrations of `local_path(folder)` alone. Raises: as `load_calibrations`."""
+    path = local_path(folder, rates)
     return read_calibrations(path) if os.path.lexists(path) else {}
 
 
-def local_path(folder: Path | None = None) -> Path:
+def local_path(folder: Path | None = None, rates: str = SHIPPED) -> Path:
     """Where a calibration is written, and looked for, in `folder` (default: here)."""
-    return (folder or Path()) / LOCAL_FILE
+    return (folder or Path()) / f"{rates}.calibration.json"
 
 
 def read_calibrations(path: Path) -> dict[Place, Calibration]:

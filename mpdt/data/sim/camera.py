@@ -12,16 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from mpdt.data.spec.family import View
 from mpdt.errors import MpdtError, SimulatorError, UsageError
 
 Pixels = npt.NDArray[np.uint8]
 
-PLACES = {  # azimuth, elevation in degrees; distance in m
-    "cheetah": (90.0, -15.0, 2.8),
-    "ant": (90.0, -30.0, 4.0),
-    "sawyer": (150.0, -25.0, 1.4),
-}
-TABLE = (0.05, 0.6, 0.2)  # m; what the camera looks at in Meta-World
 NO_SCREEN = (
     "drawing without a screen needs EGL or OSMesa; on Debian: "
     "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri, or libosmesa6 and MUJOCO_GL=osmesa"
@@ -47,24 +42,25 @@ def no_render_mode(where: str) -> UsageError:
 
 
 class Camera:
-    """Looks at one model off-screen, from the place that suits its robot.
+    """Looks at one model off-screen, from the place that its family names.
 
     Raises: whatever the OpenGL driver raises; `drawing` makes one error of it.
     """
 
-    def __init__(self, model: Any, robot: str, height: int, width: int) -> None:
+    def __init__(self, model: Any, view: View, height: int, width: int) -> None:
         import mujoco  # here: film.py sets MUJOCO_GL before it
 
-        self._robot = robot
+        self._view = view
         self._renderer = mujoco.Renderer(model, height, width)
         self._camera = mujoco.MjvCamera()
-        self._camera.azimuth, self._camera.elevation, self._camera.distance = PLACES[robot]
+        self._camera.azimuth, self._camera.elevation = view.azimuth, view.elevation
+        self._camera.distance = view.distance
 
     def frame(self, data: Any) -> Pixels:
-        """(height, width, 3) of an MjData, the table or the torso in the middle."""
+        """(height, width, 3) of an MjData, the view's point or the torso in the middle."""
+        at = self._view.at
         # MuJoCo's own tracking lags behind the torso.
-        at = data.body("torso").xpos[:2] if self._robot != "sawyer" else None
-        self._camera.lookat[:] = TABLE if at is None else (*at, 0.5)
+        self._camera.lookat[:] = (*data.body("torso").xpos[:2], 0.5) if at is None else at
         self._renderer.update_scene(data, camera=self._camera)
         pixels: Pixels = self._renderer.render().copy()
         return pixels

@@ -27,6 +27,8 @@ from mpdt.data.sim.metaworld import (
     MetaworldEnv,
     quiet,
 )
+from mpdt.data.sim.single import single_env
+from mpdt.data.spec.family import resolve, view_of
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import UsageError
 
@@ -45,13 +47,18 @@ def make(family: str, task: str, **kwargs: Any) -> gymnasium.Env[FloatArray, Any
     Raises: UsageError for an unknown family or task.
     """
     row = get_family(family)
-    row.task(task)
-    if row.simulator == "metaworld":
-        defaults: dict[str, Any] = {"horizon": row.horizon, "goal_hidden": row.goal_hidden}
-        return MetaworldTask(task, **(defaults | kwargs))
-    from mpdt.data.sim.locomotion_env import LocomotionEnv
+    known = row.task(task)
+    if row.single is None:
+        return single_env(row, known, **kwargs)
+    single: gymnasium.Env[FloatArray, Any] = resolve(row.single)(family, task, **kwargs)
+    return single
 
-    return LocomotionEnv(family, task, **kwargs)
+
+def metaworld_task(family: str, task: str, **kwargs: Any) -> MetaworldTask:
+    """A task of Meta-World as its family defines it, unless `kwargs` say otherwise."""
+    row = get_family(family)
+    defaults: dict[str, Any] = {"horizon": row.horizon, "goal_hidden": row.goal_hidden}
+    return MetaworldTask(task, **(defaults | kwargs))
 
 
 class MetaworldTask(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
@@ -127,7 +134,7 @@ class MetaworldTask(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
             raise no_render_mode(self._env.task_name)
         with drawing():
             if self._camera is None:
-                self._camera = Camera(self._env.scene[0], "sawyer", SIDE, SIDE)
+                self._camera = Camera(self._env.scene[0], view_of(get_family("mt50")), SIDE, SIDE)
             return self._camera.frame(self._env.scene[1])
 
     def close(self) -> None:

@@ -6,7 +6,7 @@
     expert    the last rung                        1
     history   every rung in turn                   rung / (rungs - 1)
 
-A network ladder is one training run (network.py). Meta-World has none: a rung there is the
+A network ladder is one training run (network.py). A script has none: a rung there is the
 script with `mix_rate` of its actions replaced by uniform ones, from rate 1 down to rate 0.
 
 Used by collect/job.py and portions.py.
@@ -27,9 +27,10 @@ from mpdt.data.sim.calibration import (
     load_local,
     local_path,
 )
-from mpdt.data.sim.scripted import ScriptedPolicy
+from mpdt.data.sim.mixed import script_policy
 from mpdt.data.spec.entry import DatasetSpec
-from mpdt.data.spec.tasks import Task, get_family
+from mpdt.data.spec.family import Task
+from mpdt.data.spec.tasks import get_family
 from mpdt.errors import SpecError, quoted, unknown_name
 from mpdt.seeding import HISTORY_STRIDE
 
@@ -75,29 +76,33 @@ def load_ladder(spec: DatasetSpec, folder: Path | None = None) -> Ladder:
 
 
 class ScriptLadder:
-    """Meta-World's scripts, mixed with uniform actions at calibrated rates.
+    """A family's script, mixed with uniform actions at calibrated rates.
 
         rung   0     1     2    ..   R-1      history: rates evenly spaced, for every task
         rate   1   1-1/(R-1)    ..    0       medium: the task's calibrated rate, between two
 
     Raises: SpecError if the spec asks for `medium` of a task without calibration at its
-        horizon, or for scripts outside Meta-World.
+        horizon, or for a script that the family does not have.
     """
 
     weights = ""  # a script has none
 
     def __init__(self, spec: DatasetSpec, folder: Path | None = None) -> None:
         self._family = get_family(spec.family)
-        if spec.behaviour.script != "metaworld" or self._family.simulator != "metaworld":
+        assert spec.behaviour.script is not None
+        self._script_name = spec.behaviour.script
+        if self._script_name not in self._family.scripts:
             raise SpecError(
                 "no such script for this family",
                 where=f"{spec.name}.behaviour.script",
-                expected="metaworld, in a Meta-World family",
+                expected=", ".join(self._family.scripts)
+                or f"a network: {spec.family} has no script",
                 found=f"{spec.behaviour.script} in {spec.family}",
             )
         self._spec = spec
-        self._calibrations, self._local = load_calibrations(folder), load_local(folder)
-        self._local_path = local_path(folder)
+        rates = self._family.rates or self._family.name
+        self._calibrations = load_calibrations(folder, rates)
+        self._local, self._local_path = load_local(folder, rates), local_path(folder, rates)
         self.num_rungs = spec.behaviour.rungs
         if spec.episodes.medium:
             for task in spec.resolve_tasks():
@@ -163,6 +168,14 @@ class ScriptLadder:
                 found=f"policy {found.policy[:8]}",
                 hint=f"mpdt-data calibrate {quoted(self._spec.name)}",
             )
+        if dict(found.env) != self._spec.env:
+            raise SpecError(
+                f"the mixing rate of '{task.name}' was calibrated with other options",
+                where=f"{self._spec.name}.env",
+                expected=str(dict(found.env)),
+                found=str(dict(self._spec.env)),
+                hint=f"mpdt-data calibrate {quoted(self._spec.name)}",
+            )
         return found
 
     def _rung(self, task: Task, rung: int) -> Policy:
@@ -174,8 +187,8 @@ class ScriptLadder:
         level = known.level_at(rate) if known else -1.0
         return self._script(task, rate, rung, 1.0 if rung == last else level)
 
-    def _script(self, task: Task, rate: float, rung: int, level: float) -> ScriptedPolicy:
-        return ScriptedPolicy([task.name], rate, task=task.index, rung=rung, level=level)
+    def _script(self, task: Task, rate: float, rung: int, level: float) -> Policy:
+        return script_policy(self._family, self._script_name, task, rate, rung, level)
 
     def _uniform(self, task: Task) -> UniformPolicy:
         family = self._family

@@ -43,8 +43,9 @@ class LocomotionBatch:
         env: Mapping[str, float | bool] | None = None,
         threads: int = 1,
     ) -> None:
-        self._robot = ROBOTS[family.robot]
-        self._rule = reward_rule(family.robot, family.reward, env or {})
+        robot, reward = family.scene.split("/")
+        self._robot = ROBOTS[robot]
+        self._rule = reward_rule(robot, reward, env or {})
         self._model = self._robot.model()
         self._models = [self._model] * len(tasks)
         self._datas = [mujoco.MjData(self._model) for _ in range(threads)]

@@ -52,8 +52,9 @@ class LocomotionEnv(MujocoEnv):
         names = {known.name: known for known in row.tasks}
         if task not in names:
             raise unknown_name(f"task of {family}", task, names)
-        self._robot, self._task_name = ROBOTS[row.robot], task
-        self._rule = reward_rule(row.robot, row.reward, env)
+        robot, reward = row.scene.split("/")
+        self._robot, self._task_name = ROBOTS[robot], task
+        self._rule = reward_rule(robot, reward, env)
         self._goal = np.array([names[task].goal[0]])
         self._horizon = row.horizon if horizon is None else horizon
         self._elapsed = -1  # not reset yet

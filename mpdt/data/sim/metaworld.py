@@ -17,7 +17,7 @@ Used by simulators.py, gym.py, scripts.py and scripted.py.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -33,7 +33,7 @@ from mpdt.errors import ShapeError, SimulatorError, UsageError, unknown_name
 from mpdt.seeding import SeedKey, Stream
 
 if TYPE_CHECKING:
-    from mpdt.data.spec.tasks import Task
+    from mpdt.data.spec.tasks import Family, Task
 
 OBSERVATION_SIZE = 39  # 18 now, 18 one step earlier, goal 3
 ACTION_SIZE = 4  # hand displacement * 0.01 m, gripper effort
@@ -205,6 +205,13 @@ def _kept_env(task_name: str) -> MetaworldEnv:
     its simulator whenever they are stepped.
     """
     return MetaworldEnv(task_name)
+
+
+def batch_of(
+    family: Family, tasks: Sequence[Task], options: Mapping[str, float | bool]
+) -> MetaworldBatch:
+    """As `make_batch` asks for it: Meta-World is stepped as published, without options."""
+    return MetaworldBatch(tasks)
 
 
 class MetaworldBatch:

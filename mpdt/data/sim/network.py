@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from mpdt.data.episode import QUALITY_CODES, PolicyInfo
 from mpdt.data.sim.actors import Observations, Policy, Rewards, Rows, UniformPolicy
 from mpdt.data.sim.network_file import Weights, load_network
-from mpdt.data.sim.robots import network_inputs
 from mpdt.data.spec.entry import DatasetSpec
-from mpdt.data.spec.tasks import Family, Task, get_family
+from mpdt.data.spec.family import Family, Task, resolve
+from mpdt.data.spec.tasks import get_family
 from mpdt.errors import FormatError, SpecError, unknown_name
 from mpdt.seeding import HISTORY_STRIDE, Stream
 
@@ -45,6 +45,20 @@ def network_actions(weights: Weights, inputs: NDArray[np.floating[Any]]) -> NDAr
     return np.asarray(x @ weights["w2"] + weights["b2"], dtype=np.float32)
 
 
+def network_scene(family: Family) -> str:
+    """What a network was trained for, as its record tells: robot/reward, or NAME/VERSION."""
+    return family.scene or f"{family.name}/{family.version}"
+
+
+def behaviour_inputs(
+    family: Family, observations: NDArray[np.float64], goals: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What a behaviour network of a family sees (B, I) of observations (B, D) and goals (B, G)."""
+    if family.inputs is not None:
+        return np.asarray(resolve(family.inputs)(observations, goals))
+    return np.concatenate([observations, goals], axis=1)
+
+
 class NetworkPolicy:
     """A rung acting: its mean action plus Gaussian noise of fixed standard deviation.
 
@@ -56,7 +70,7 @@ class NetworkPolicy:
     def __init__(self, family: Family, weights: Weights, noise: float, info: PolicyInfo) -> None:
         self.info = info
         self._family, self._weights, self._noise_std = family, weights, noise
-        self._goals = np.zeros(0)
+        self._goals = np.zeros((0, 0))
         self._noise = np.zeros((0, 0, 0), dtype=np.float32)
 
     def begin(self, rows: Rows) -> None:
@@ -65,14 +79,13 @@ class NetworkPolicy:
             key.generator(Stream.POLICY).standard_normal(shape, np.float32) for key in rows.keys
         ]
         self._noise = np.float32(self._noise_std) * np.stack(draws)
-        self._goals = np.array([goal[0] for goal in rows.goals])
+        self._goals = np.array(rows.goals)
 
     def act(
         self, step: int, observations: Observations, rewards: Rewards | None = None
     ) -> NDArray[np.float64]:
-        family = self._family
         full = observations.astype(np.float64)
-        inputs = network_inputs(family.robot, family.reward, full, self._goals)
+        inputs = behaviour_inputs(self._family, full, self._goals)
         actions = network_actions(self._weights, inputs) + self._noise[:, step]
         return actions.astype(np.float64)  # exact; the caller casts back to float32
 
@@ -89,12 +102,12 @@ class NetworkLadder:
         network = load_network(spec.behaviour.network)
         record = network.record
         self._family = get_family(spec.family)
-        if (record.robot, record.reward) != (self._family.robot, self._family.reward):
+        if (of := f"{record.robot}/{record.reward}") != network_scene(self._family):
             raise SpecError(
                 f"network '{spec.behaviour.network}' was trained for another family",
                 where=f"{spec.name}.behaviour.network",
-                expected=f"{self._family.robot}/{self._family.reward}",
-                found=f"{record.robot}/{record.reward}",
+                expected=network_scene(self._family),
+                found=of,
             )
         places = _spread(spec.behaviour.rungs, len(record.rungs), spec.name)
         self._record = [record.rungs[place] for place in places]

@@ -76,8 +76,8 @@ class Player:
     def __init__(self, spec: DatasetSpec, seed: int) -> None:
         self.spec, self.seed = spec, seed
         family = get_family(spec.family)
-        # mt50 holds every task, so the numbers do not depend on which family asks for them.
-        self._family = get_family("mt50") if family.simulator == "metaworld" else family
+        # Where several share their tasks, numbers do not depend on which of them asks.
+        self._family = get_family(family.measured_in) if family.measured_in else family
         self._ladder: Ladder | None = None
         self._env: tuple[tuple[int, int], BatchEnv] | None = None
 

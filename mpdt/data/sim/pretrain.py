@@ -23,6 +23,7 @@ from safetensors.numpy import save
 
 from mpdt.data.sim.checkpoint import NAME as CHECKPOINT
 from mpdt.data.sim.checkpoint import PICKLES, Point, load_checkpoint, restore
+from mpdt.data.sim.network import network_scene
 from mpdt.data.sim.network_file import load_snapshot
 from mpdt.data.sim.rungs import JUDGED, describe_rungs
 from mpdt.data.spec.tasks import Family, get_family
@@ -141,10 +142,11 @@ def _pretrain(
         threads=settings.threads,
         say=say,
     )
+    robot, _, reward = network_scene(family).partition("/")
     record = {
         "network": name,
-        "robot": family.robot,
-        "reward": family.reward,
+        "robot": robot,
+        "reward": reward,
         "seed": seed,
         "steps": total,
         "wall_s": curve[-1].wall_s,  # of training, without judging

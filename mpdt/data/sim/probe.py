@@ -1,4 +1,4 @@
-"""Probe: returns of one Meta-World task at any mixing rate and horizon, each simulated once.
+"""Probe: returns of one task at any mixing rate and horizon, each simulated once.
 
     record of a rate   row 0  r r r r r r r r     an episode of 500 steps begins with the one
                        row 1  r r r r r r r r     of 200 (same goal, coins and actions), so
@@ -10,17 +10,20 @@ All rates of a task are measured on the same goals, coins and uniform actions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
+from mpdt.data.sim.actors import Policy
 from mpdt.data.sim.batch import FloatArray
 from mpdt.data.sim.calibration import Measurement
+from mpdt.data.sim.mixed import script_policy
 from mpdt.data.sim.play import run_block
-from mpdt.data.sim.scripted import ScriptedPolicy
 from mpdt.data.sim.simulators import make_batch
+from mpdt.data.spec.entry import DatasetSpec
+from mpdt.data.spec.family import Family
 from mpdt.data.spec.tasks import get_family
 from mpdt.seeding import Quality, SeedKey
 
@@ -31,12 +34,33 @@ class _Record:
     successes: npt.NDArray[np.bool_]  # (T,)
 
 
+@dataclass(frozen=True)
+class Script:
+    """Whose actions are mixed with uniform ones: a script of a family, under simulator options."""
+
+    family: Family
+    name: str
+    env: Mapping[str, float | bool] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, spec: DatasetSpec) -> Script:
+        """The one that acts in an entry's episodes."""
+        assert spec.behaviour.script is not None
+        family = get_family(spec.family)
+        # Where several share their tasks, a calibration does not depend on which of them asks.
+        measured = get_family(family.measured_in) if family.measured_in else family
+        return cls(measured, spec.behaviour.script, spec.env)
+
+    def policy(self, task_name: str, rate: float = 0.0) -> Policy:
+        """It acting on a task."""
+        return script_policy(self.family, self.name, self.family.task(task_name), rate)
+
+
 class Probe:
     """Plays episodes of one task and keeps their rewards, so that nothing is played twice."""
 
-    def __init__(self, task_name: str, seed: int) -> None:
-        # mt50 holds every task, so a calibration does not depend on which family asks for it.
-        self._family = get_family("mt50")
+    def __init__(self, script: Script, task_name: str, seed: int) -> None:
+        self.script, self._family = script, script.family
         self.task = self._family.task(task_name)
         self.seed = seed
         self._records: dict[float, dict[int, _Record]] = {}
@@ -60,11 +84,13 @@ class Probe:
     def _play(self, rate: float, horizon: int, rows: list[int]) -> Iterator[_Record]:
         first = SeedKey(self.seed, self._family.id, self.task.index, Quality.CALIBRATION, 0, 0)
         keys = [first.at_row(row) for row in rows]
-        env = make_batch(self._family, [self.task] * len(rows))
-        policy = ScriptedPolicy([self.task.name], rate)
+        env = make_batch(self._family, [self.task] * len(rows), self.script.env)
+        policy = self.script.policy(self.task.name, rate)
         for episode in run_block(env, policy, keys, horizon=horizon, quality=-1, progress=-1.0):
-            assert episode.successes is not None, "Meta-World tells success"
-            yield _Record(episode.rewards, episode.successes)
+            never = np.zeros(episode.length, np.bool_)  # where the simulator tells of none
+            yield _Record(
+                episode.rewards, never if episode.successes is None else episode.successes
+            )
 
 
 class Gauge:

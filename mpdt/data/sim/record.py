@@ -26,7 +26,7 @@ from mpdt.data.reference import Reference, Source
 from mpdt.data.sim.book import read_book, write_book
 from mpdt.data.sim.ladder import Ladder
 from mpdt.data.spec.entry import DatasetSpec, canonical_json
-from mpdt.data.spec.tasks import Family, Task, get_family
+from mpdt.data.spec.tasks import Task, get_family
 from mpdt.disk import check_replaceable
 
 FORMAT = "mpdt-references/1"
@@ -106,16 +106,10 @@ class Record:
 NOTHING = Record()
 
 
-def scene_of(family: Family, task: Task) -> str:
-    """Robot, reward and goal: what a return depends on beside horizon and options."""
-    goal = "/".join(map(repr, task.goal)) or task.name
-    return f"{family.robot}/{family.reward}/{goal}"
-
-
 def place_of(spec: DatasetSpec, task: Task, horizon: int) -> Place:
     """Where a task of a spec stands in the record, at any horizon."""
     env = canonical_json(spec.env).decode()
-    return (scene_of(get_family(spec.family), task), horizon, env)
+    return (get_family(spec.family).scene_of(task), horizon, env)
 
 
 def constant_names(action_size: int) -> list[str]:

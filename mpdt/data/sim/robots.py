@@ -146,6 +146,16 @@ def reward_rule(robot: str, kind: str, options: Mapping[str, float | bool]) -> R
     )
 
 
+def cheetah_inputs(observations: Floats, goals: Floats) -> Floats:
+    """What a cheetah's behaviour network sees of observations (B, D) and goals (B, 1)."""
+    return network_inputs("cheetah", "", observations, goals[:, 0])
+
+
+def ant_inputs(observations: Floats, goals: Floats) -> Floats:
+    """What an ant's behaviour network sees of observations (B, D) and headings (B, 1)."""
+    return network_inputs("ant", "heading", observations, goals[:, 0])
+
+
 def network_inputs(
     robot: str, kind: str, observations: Floats, goals: Floats
 ) -> NDArray[np.float64]:

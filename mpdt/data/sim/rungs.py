@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from mpdt.data.sim.batch import BoolArray, FloatArray, roll_out
 from mpdt.data.sim.locomotion import LocomotionBatch
-from mpdt.data.sim.network import network_actions
+from mpdt.data.sim.network import behaviour_inputs, network_actions
 from mpdt.data.sim.network_file import Weights, load_snapshot
-from mpdt.data.sim.robots import network_inputs
 from mpdt.data.spec.tasks import Family
 from mpdt.disk import disk, write_bytes
 from mpdt.errors import FormatError
@@ -124,7 +123,7 @@ def judge(
     ]
     env = LocomotionBatch(family, tasks, threads=threads)
     goals = env.draw_goals(keys)
-    flat = np.array([goal[0] for goal in goals])
+    stacked = np.array(goals)
     observations = env.reset(keys, goals)
     generator = keys[0].generator(Stream.POLICY)
     total, shape = np.zeros(len(tasks)), (len(tasks), family.action_size)
@@ -136,7 +135,7 @@ def judge(
         if weights is None:
             actions = generator.uniform(family.action_low, family.action_high, shape)
         else:
-            inputs = network_inputs(family.robot, family.reward, seen, flat)
+            inputs = behaviour_inputs(family, seen, stacked)
             actions = network_actions(weights, inputs) + noise * generator.standard_normal(shape)
         return np.clip(actions, family.action_low, family.action_high).astype(np.float32)
 

@@ -19,8 +19,16 @@ from mpdt.data.sim.actors import (
 )
 from mpdt.data.sim.metaworld import ACTION_SIZE
 from mpdt.data.sim.scripts import Expert, corrections_of
+from mpdt.data.spec.family import Family, Task
 from mpdt.errors import UsageError
 from mpdt.seeding import Stream
+
+
+def policy_of(
+    family: Family, script: str, task: Task, rate: float, rung: int, level: float
+) -> ScriptedPolicy:
+    """The policy of a Meta-World family's script, as its contract names it."""
+    return ScriptedPolicy([task.name], rate, task=task.index, rung=rung, level=level)
 
 
 class ScriptedPolicy:

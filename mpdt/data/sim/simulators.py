@@ -1,4 +1,4 @@
-"""Which simulator a family needs: the one place that knows all of them.
+"""The simulator of a family, as its contract names it.
 
 Used by collect/, portions.py, probe.py, verify/replay.py, card/film.py and mpdt/train/evaluate.
 """
@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from mpdt.data.sim.batch import BatchEnv
-from mpdt.data.spec.tasks import Family, Task
-from mpdt.errors import SpecError
+from mpdt.data.spec.family import Family, Task, resolve
+from mpdt.data.spec.tasks import get_family
+from mpdt.errors import MpdtError, SimulatorError, SpecError, UsageError
 
 
 def make_batch(
@@ -18,26 +19,49 @@ def make_batch(
     """The simulator of `family` with one row per entry of `tasks`.
 
     Args:
-        family: row of the family registry; its `simulator` decides.
+        family: its `batch`, `vector` or `env` simulates.
         tasks: task of each row; the same task may stand in many rows.
-        env: simulator options of the spec; Meta-World has none.
+        env: simulator options of the spec.
 
-    Raises: SpecError for an empty `tasks` or an option the simulator does not have.
+    Raises: SpecError for an empty `tasks` or an option the simulator does not have; SimulatorError
+    for a family whose simulator is not here, or breaks the contract.
     """
     if not tasks:
         raise SpecError("a batch needs at least one task", where=family.name)
     options = dict(env or {})
-    # Imported here: a command pays only for the simulator it uses.
-    if family.simulator == "metaworld":
-        from mpdt.data.sim.metaworld import MetaworldBatch
+    for option in sorted(options.keys() - family.options):
+        raise SpecError(
+            f"unknown simulator option '{option}'",
+            where=f"{family.name}.env",
+            hint=f"allowed: {', '.join(sorted(family.options)) or 'none, leave `env` out'}",
+        )
+    # Resolved here: a command pays only for the simulator it uses.
+    if family.batch is not None:
+        batch: BatchEnv = resolve(family.batch)(family, tasks, options)
+        return batch
+    if family.vector is not None:
+        from mpdt.data.sim.vectors import VectorBatch
 
-        if options:
-            raise SpecError(
-                f"unknown simulator option '{sorted(options)[0]}'",
-                where=f"{family.name}.env",
-                hint="Meta-World is stepped as published: leave `env` out",
-            )
-        return MetaworldBatch(tasks)
-    from mpdt.data.sim.locomotion import LocomotionBatch
+        return VectorBatch(family, tasks, options)
+    if family.env is not None:
+        from mpdt.data.sim.single import EnvBatch
 
-    return LocomotionBatch(family, tasks, options)
+        return EnvBatch(family, tasks, options)
+    raise not_installed(family)
+
+
+def not_installed(family: Family) -> MpdtError:
+    """What is raised where a file alone tells of a family."""
+    try:
+        get_family(family.name)
+    except SpecError as error:  # it is declared, and cannot be used
+        return error
+    except UsageError:
+        pass
+    module = family.module or "module:family"
+    return SimulatorError(
+        "the simulator of this family is not here", where=family.name,
+        expected=f"{module}, version {family.version}",
+        hint=f"install the package that has it, or add to ./datasets.yaml  families: "
+        f"{{{family.name}: {{module: '{module}'}}}}",
+    )  # fmt: skip

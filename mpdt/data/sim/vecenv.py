@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from mpdt.data.sim.locomotion import LocomotionBatch
-from mpdt.data.sim.robots import network_inputs
+from mpdt.data.sim.network import behaviour_inputs
 from mpdt.data.spec.tasks import Family
 from mpdt.seeding import Quality, SeedKey, Stream
 
@@ -57,7 +57,7 @@ class LocomotionVecEnv(VecEnv):  # type: ignore[misc]  # untyped base
 
     def _inputs(self) -> NDArray[np.float32]:
         observations = self._batch.observations()
-        inputs = network_inputs(self._family.robot, self._family.reward, observations, self._goals)
+        inputs = behaviour_inputs(self._family, observations, self._goals[:, None])
         return inputs.astype(np.float32)
 
     def reset(self) -> NDArray[np.float32]:

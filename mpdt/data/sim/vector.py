@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.sim.camera import SIDE, Camera, Pixels, check_render_mode, drawing, no_render_mode
 from mpdt.data.sim.locomotion import LocomotionBatch
+from mpdt.data.spec.family import view_of
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import UsageError
 from mpdt.seeding import generator_of
@@ -66,7 +67,7 @@ class LocomotionVector(VectorEnv[Floats, NDArray[np.float32], NDArray[Any]]):
                              expected=f"one task, or {num_envs}",
                              found=str(len(names)))  # fmt: skip
         check_render_mode(render_mode, family)
-        self.render_mode, self._robot = render_mode, row.robot
+        self.render_mode, self._view = render_mode, view_of(row)
         tasks = [row.task(name) for name in names]
         self._batch = LocomotionBatch(row, tasks, env, threads)
         self._goals = [known.goal[0] for known in tasks]
@@ -167,7 +168,7 @@ class LocomotionVector(VectorEnv[Floats, NDArray[np.float32], NDArray[Any]]):
             raise no_render_mode("LocomotionVector")
         with drawing():
             if self._camera is None:
-                self._camera = Camera(self._batch.scene(0)[0], self._robot, SIDE, SIDE)
+                self._camera = Camera(self._batch.scene(0)[0], self._view, SIDE, SIDE)
             rows = range(self.num_envs)
             return tuple(self._camera.frame(self._batch.scene(row)[1]) for row in rows)
 

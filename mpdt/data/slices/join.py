@@ -85,7 +85,7 @@ def join(parts: Sequence[Dataset], path: Path | None = None) -> Dataset:
         family=header.family, name=header.name, version=header.version, license=header.license,
         spec=_stored(header.spec), spec_hash=spec_hash(header.spec),
         content_hash=content_hash(header.content(), episodes.digest),
-        parent=header.parent, lineage=tuple(lineage),
+        parent=header.parent, lineage=tuple(lineage), definition=header.definition,
         packages=first.packages, platform=first.platform,
         tasks=_tasks(header), policies=_policies(header, row_of), goals=goals.table(),
         episodes=episodes,

@@ -16,6 +16,7 @@ from mpdt.data.spec.entry import (
     SpecMistakesError,
     raise_problems,
 )
+from mpdt.data.spec.own import FILE_NAME, declared_family
 from mpdt.data.spec.strict import collect
 from mpdt.data.spec.yamltext import load_yaml
 from mpdt.errors import MissingFileError, SpecError, StorageError, nearest, unknown_name
@@ -23,9 +24,8 @@ from mpdt.reading import read_plain
 
 __all__ = ["Catalog", "load_catalog", "shipped_catalog"]
 
-FILE_NAME = "datasets.yaml"
 SCHEMA = 1
-_TOP_KEYS = ("schema", "datasets")
+_TOP_KEYS = ("schema", "families", "datasets")
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,7 @@ def parse_catalog(text: str, where: str) -> dict[str, DatasetSpec]:
         found = document.get("schema")
         problems.append(("schema", f"expected {SCHEMA}, found {found!r}",
                          "another schema needs another release of mpdt"))  # fmt: skip
+    _register(document.get("families", {}), where, problems)
     entries = document.get("datasets")
     if not isinstance(entries, dict):
         problems.append(("datasets", "expected a block of entries", ""))
@@ -119,6 +120,18 @@ def parse_catalog(text: str, where: str) -> dict[str, DatasetSpec]:
             specs[spec.name] = spec
     raise_problems(problems, where, separator=": ")
     return specs
+
+
+def _register(families: object, where: str, problems: list[Problem]) -> None:
+    """One's own families, before the entries that name them."""
+    if not isinstance(families, dict):
+        problems.append(("families", "expected a block of families", ""))
+        return
+    for name, entry in families.items():
+        try:
+            declared_family(str(name), entry, str(Path(where).absolute().parent))
+        except SpecError as error:
+            problems.append((f"families.{name}", error.message(), error.hint))
 
 
 def _entry(name: str, entry: object, problems: list[Problem]) -> DatasetSpec | None:

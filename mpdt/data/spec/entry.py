@@ -18,14 +18,7 @@ import msgspec
 
 from mpdt.data.spec.goals import GoalSet
 from mpdt.data.spec.tasks import FAMILIES, Family, Role, Task, get_family
-from mpdt.errors import Lines, SpecError, nearest
-
-ENV_OPTIONS: dict[str, frozenset[str]] = {
-    "cheetah": frozenset({"control_cost"}),
-    "ant": frozenset({"control_cost", "terminate", "contact_cost"}),
-    "sawyer": frozenset(),
-}
-"""Simulator options a spec may set, by robot. What is not set keeps the simulator's default."""
+from mpdt.errors import Lines, SpecError, UsageError, nearest
 
 # No longer than a file takes, with what files of smoke versions and slices add to a name.
 _SEMVER = re.compile(r"\d{1,9}\.\d{1,9}\.\d{1,9}(?:[-+.][0-9A-Za-z.+-]{1,80})?")
@@ -110,7 +103,8 @@ class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         block: episodes per unit of work; part of the identity of the data.
         tta: sets for test-time adaptation by name.
         reference: episodes per task behind a reference return that no stored quality gives.
-        env: simulator options; allowed keys in `ENV_OPTIONS`.
+        env: simulator options; allowed keys are the family's. What is not set keeps the simulator's
+            default.
         license: SPDX id.
 
     Raises: SpecError listing every mistake.
@@ -146,6 +140,15 @@ class DatasetSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             roles: dict[bool, Role] = {True: "test", False: "train"}
             chosen = {replace(task, role=roles[task in test]) for task in chosen}
         return tuple(sorted(chosen, key=lambda task: task.index))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # With its family, which a worker may not know yet.
+        fields = {name: getattr(self, name) for name in self.__struct_fields__}
+        return _again, (FAMILIES.get(self.family), fields)
+
+
+def _again(family: Family | None, fields: dict[str, Any]) -> DatasetSpec:
+    return DatasetSpec(**fields)
 
 
 Problem = tuple[str, str, str]
@@ -191,12 +194,16 @@ def find_problems(spec: DatasetSpec) -> list[Problem]:
         problems += _range_problems(f"episodes.{quality}", count, 0, MOST["episodes"])
     problems += _behaviour_problems(spec)
     problems += [problem for name in spec.tta for problem in _tta_problems(name, spec.tta[name])]
-    if spec.family not in FAMILIES:
+    try:
+        family = get_family(spec.family)
+    except SpecError as error:  # one's own that cannot be used
+        return [*problems, ("family", error.message(), error.hint)]
+    except UsageError:
         known = ", ".join(FAMILIES)
         near = nearest(spec.family, FAMILIES)
         what = f"unknown family '{spec.family}' {near}".rstrip()
         return [*problems, ("family", what, f"known: {known}")]
-    problems += _family_problems(spec, FAMILIES[spec.family])
+    problems += _family_problems(spec, family)
     if not problems and (count := _num_blocks(spec)) > MOST_BLOCKS:
         what = f"asks for {count:,} blocks of work"
         problems.append(("episodes", what, f"at most {MOST_BLOCKS:,}: fewer episodes or tasks, or "
@@ -268,22 +275,22 @@ def _family_problems(spec: DatasetSpec, family: Family) -> list[Problem]:
     if spec.goals is not None:
         if spec.goals.problem:
             problems.append(("goals", spec.goals.problem, "0 < held_out < count"))
-        if family.simulator == "locomotion":
-            problems.append(("goals", "a locomotion task is its goal", "leave it out"))
-    allowed = ENV_OPTIONS[family.robot]
+        if not family.draws_goals:
+            problems.append(("goals", f"a task of {family.name} is its goal", "leave it out"))
+    allowed = family.options
     for option in sorted(set(spec.env) - allowed):
         what = f"unknown key '{option}' {nearest(option, allowed)}".rstrip()
-        hint = f"allowed: {', '.join(sorted(allowed)) or 'none for ' + family.robot}"
+        hint = f"allowed: {', '.join(sorted(allowed)) or 'none for ' + family.name}"
         problems.append((f"env.{option}", what, hint))
     for option, value in spec.env.items():
         if not math.isfinite(value):
             problems.append((f"env.{option}", "not finite", ""))
-    # The simulator itself truncates there, and Meta-World raises on any further step.
+    # Meta-World itself truncates there, and raises on any further step.
     horizons = [("horizon", spec.horizon)]
     horizons += [(f"tta.{name}.horizon", rule.horizon or 1) for name, rule in spec.tta.items()]
     for key, steps in horizons:
-        if family.simulator == "metaworld" and steps > family.horizon:
-            hint = f"at most {family.horizon} in {family.name}"
+        if 0 < family.most_steps < steps:
+            hint = f"at most {family.most_steps} in {family.name}"
             problems.append((key, f"{steps} steps are too many", hint))
     return problems
 

@@ -1,86 +1,18 @@
 """One row per task of the seven families: goals, spaces, horizons, splits, return targets.
 
 The position of a task in its family's list is part of every seed key, and so is the family
-id: append, never reorder, reuse or renumber.
+id: append, never reorder, reuse or renumber. FAMILIES gains those of one's own, see `own.py`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
-from mpdt.errors import unknown_name
-
-Role = Literal["train", "test", "both"]
-
-
-@dataclass(frozen=True)
-class Task:
-    """One task of a family.
-
-    Args:
-        index: position in the family's fixed list; the seed key's second number.
-        role: `both` = the test tasks are the training tasks.
-        goal: direction (+1, -1), speed in m/s or angle in rad; empty for Meta-World, which
-            draws a goal per episode.
-    """
-
-    name: str
-    index: int
-    role: Role
-    goal: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Family:
-    """Tasks that share simulator, robot and spaces.
-
-    Args:
-        id: the seed key's first number.
-        action_low, action_high: bounds of every action component, in the env's own unit.
-        horizon: steps after which an episode is truncated.
-        step_s: seconds of simulated time per step.
-        return_target, return_scale: the fixed return asked for at test time and its divisor;
-            for a full-length episode, in summed reward.
-        goal_hidden: stored observations do not contain the goal.
-        hidden_columns: observation columns that are stored as 0.
-        has_success: the simulator reports success per step.
-        tta_action_scale: published range of the random actions for test-time adaptation, as
-            a multiple of the bounds.
-        columns: `name [unit]` of every observation column; unit `1` has no dimension.
-    """
-
-    name: str
-    id: int
-    simulator: Literal["locomotion", "metaworld"]
-    robot: Literal["cheetah", "ant", "sawyer"]
-    reward: Literal["direction", "velocity", "heading", "metaworld"]
-    observation_size: int
-    action_size: int
-    action_low: float
-    action_high: float
-    horizon: int
-    step_s: float
-    tasks: tuple[Task, ...]
-    return_target: float
-    return_scale: float
-    goal_hidden: bool
-    hidden_columns: tuple[int, ...]
-    has_success: bool
-    tta_action_scale: float
-    columns: tuple[str, ...]
-
-    def task(self, name_or_index: str | int) -> Task:
-        """The task of that name or position.
-
-        Raises: UsageError naming the nearest task.
-        """
-        for task in self.tasks:
-            if name_or_index in (task.name, task.index):
-                return task
-        known = [task.name for task in self.tasks]
-        raise unknown_name("task", str(name_or_index), known, where=self.name)
-
+from mpdt.data.spec.family import Family as Family
+from mpdt.data.spec.family import Role as Role
+from mpdt.data.spec.family import Task as Task
+from mpdt.data.spec.family import View
+from mpdt.errors import MpdtError, unknown_name
 
 # ---- locomotion: environment code of MACAW (Mitchell et al. 2021), reused by Prompt-DT ----
 
@@ -128,6 +60,9 @@ def _ant_task(index: int) -> Task:
     return Task(f"dir-{index:02d}", index, role, (_ANT_ANGLES_RAD[index],))
 
 
+_LOCOMOTION = "mpdt.data.sim.locomotion"
+
+
 def _cheetah(
     name: str,
     id: int,
@@ -135,32 +70,37 @@ def _cheetah(
     tasks: tuple[Task, ...],
     return_target: float,
     return_scale: float,
+    about: str,
 ) -> Family:
     return Family(
-        name=name, id=id, simulator="locomotion", robot="cheetah", reward=reward,
-        observation_size=20, action_size=6, action_low=-1.0, action_high=1.0,
-        horizon=200, step_s=0.05, tasks=tasks,
+        name=name, id=id, scene=f"cheetah/{reward}", tasks=tasks, columns=_CHEETAH_COLUMNS,
+        action_size=6, horizon=200, step_s=0.05,
         return_target=return_target, return_scale=return_scale,
-        goal_hidden=True, hidden_columns=(), has_success=False, tta_action_scale=1.0,
-        columns=_CHEETAH_COLUMNS,
+        batch=f"{_LOCOMOTION}:LocomotionBatch", single=f"{_LOCOMOTION}_env:LocomotionEnv",
+        inputs="mpdt.data.sim.robots:cheetah_inputs", options=frozenset({"control_cost"}),
+        about=about, ends_early=False, packages=("mujoco",), steps_per_s=20_000.0,
+        view=View(90.0, -15.0, 2.8, floor="floor"),
     )  # fmt: skip
 
 
 _CHEETAH_DIR = _cheetah(
     "cheetah_dir", 0, "direction",
     (Task("forward", 0, "both", (1.0,)), Task("backward", 1, "both", (-1.0,))),
-    1500.0, 1000.0,
+    1500.0, 1000.0, "A planar cheetah is to run in one of two directions",
 )  # fmt: skip
 _CHEETAH_VEL = _cheetah(
-    "cheetah_vel", 1, "velocity", tuple(map(_velocity_task, range(40))), 0.0, 500.0
-)
+    "cheetah_vel", 1, "velocity", tuple(map(_velocity_task, range(40))), 0.0, 500.0,
+    "A planar cheetah is to run at a given speed",
+)  # fmt: skip
 _ANT_DIR = Family(
-    name="ant_dir", id=2, simulator="locomotion", robot="ant", reward="heading",
-    observation_size=27, action_size=8, action_low=-1.0, action_high=1.0,
-    horizon=200, step_s=0.05, tasks=tuple(map(_ant_task, range(50))),
+    name="ant_dir", id=2, scene="ant/heading", tasks=tuple(map(_ant_task, range(50))),
+    columns=_ANT_COLUMNS, action_size=8, horizon=200, step_s=0.05,
     return_target=500.0, return_scale=500.0,
-    goal_hidden=True, hidden_columns=(), has_success=False, tta_action_scale=1.0,
-    columns=_ANT_COLUMNS,
+    batch=f"{_LOCOMOTION}:LocomotionBatch", single=f"{_LOCOMOTION}_env:LocomotionEnv",
+    inputs="mpdt.data.sim.robots:ant_inputs",
+    options=frozenset({"control_cost", "terminate", "contact_cost"}),
+    about="A four-legged ant is to run in a given direction", packages=("mujoco",),
+    view=View(90.0, -30.0, 4.0, floor="floor"),
 )  # fmt: skip
 
 
@@ -215,14 +155,19 @@ def _metaworld(name: str, id: int, goal_hidden: bool, **splits: tuple[str, ...])
     roles: dict[str, Role] = {"train": "train", "test": "test", "both": "both"}
     rows = [(task, roles[split]) for split, names in splits.items() for task in names]
     return Family(
-        name=name, id=id, simulator="metaworld", robot="sawyer", reward="metaworld",
-        observation_size=39, action_size=4, action_low=-1.0, action_high=1.0,
-        horizon=500, step_s=0.0125,
+        name=name, id=id, scene="sawyer/metaworld", measured_in="mt50", rates="metaworld",
         tasks=tuple(Task(task, i, role, ()) for i, (task, role) in enumerate(rows)),
+        columns=_SAWYER_COLUMNS, action_size=4, horizon=500, step_s=0.0125, most_steps=500,
         return_target=4500.0, return_scale=1000.0,  # HarmoDT, M3DT; per 500 steps
+        batch="mpdt.data.sim.metaworld:batch_of", single="mpdt.data.sim.gym:metaworld_task",
+        scripts={"metaworld": None}, scripted="mpdt.data.sim.scripted:policy_of",
+        about="A robot arm does tasks of Meta-World",
         goal_hidden=goal_hidden, hidden_columns=(36, 37, 38) if goal_hidden else (),
-        has_success=True, tta_action_scale=3.0 if goal_hidden else 1.0,
-        columns=_SAWYER_COLUMNS,
+        has_success=True,
+        draws_goals=True, ends_early=False, packages=("metaworld", "mujoco"),
+        # What a step costs beside the physics is nearly the same for ten rows and for fifty.
+        steps_per_s=4_000.0, policy_rows=10, bundle_rows=50,
+        view=View(150.0, -25.0, 1.4, at=(0.05, 0.6, 0.2)),
     )  # fmt: skip
 
 
@@ -241,11 +186,26 @@ FAMILIES: dict[str, Family] = {
 }
 
 
-def get_family(name: str) -> Family:
-    """The family of that name.
+SHIPPED = tuple(FAMILIES)
 
-    Raises: UsageError naming the nearest family.
+
+def get_family(name: str) -> Family:
+    """The family of that name: shipped, registered, installed or of the working folder's yaml.
+
+    Raises: UsageError naming the nearest family; SpecError for one's own that cannot be used.
     """
     if name not in FAMILIES:
+        from mpdt.data.spec.own import find_own  # it registers here what it finds
+
+        if (found := find_own(name)) is not None:
+            return found
         raise unknown_name("family", name, FAMILIES)
     return FAMILIES[name]
+
+
+def find_family(name: str) -> Family | None:
+    """`get_family`, or None for one that is not here or cannot be used."""
+    try:
+        return get_family(name)
+    except MpdtError:
+        return None

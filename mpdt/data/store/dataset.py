@@ -11,6 +11,8 @@ from typing import Any, SupportsIndex
 import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES, Episode, PolicyInfo
+from mpdt.data.spec.family import Family
+from mpdt.data.spec.own import family_of
 from mpdt.data.store.digest import content_header
 from mpdt.data.store.opening import Source
 from mpdt.data.store.tables import (
@@ -69,6 +71,8 @@ class Dataset:
     stats_info: Stats | None = field(repr=False)
     tta: Mapping[str, TtaSet] = field(repr=False)
     lineage: Sequence[Mapping[str, Any]] = field(default=(), repr=False)
+    definition: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    """Of one's own family, see `spec.family.definition`; empty for those that mpdt ships."""
     seal: str = field(default="", repr=False)
     """Of all that the content hash does not cover."""
 
@@ -112,6 +116,13 @@ class Dataset:
     @property
     def action_size(self) -> int:
         return int(self.steps.actions.shape[1])
+
+    def contract(self) -> Family:
+        """Its family: the one known here, or, without a simulator, what the file says of it.
+
+        Raises: UsageError for a family that neither knows; DataError where they disagree.
+        """
+        return family_of(self.family, self.definition)
 
     def content_header(self) -> dict[str, Any]:
         """What the content hash knows of this file beside its episodes."""

@@ -45,6 +45,7 @@ def header_of(
         parent=dataset.content_hash,
         packages=dataset.packages,
         platform=dataset.platform,
+        definition=dataset.definition,
         lineage=(*dataset.lineage, *([] if step is None else [lineage_step(step, dataset)])),
     )
 
@@ -62,7 +63,7 @@ def task_rows(dataset: Dataset) -> list[TaskRow]:
             name=tasks.names[row],
             index=tasks.indices[row],
             role=_ROLES[int(tasks.roles[row])],
-            env=describe_env(dataset.spec, dataset.family, tasks.names[row]),
+            env=describe_env(dataset.spec, dataset.family, tasks.names[row], dataset.definition),
             references=tasks.references[row],
         )
         for row in range(len(tasks))

@@ -24,8 +24,8 @@ from mpdt.reading import decode_json
 FORMAT = "mpdt/1"
 ALIGNMENT_BYTES = 64
 ATTRIBUTE_LIMIT_BYTES = 60_000  # HDF5 attributes stop at 64 kB (h5py/h5py#1855)
-ROOT_TEXTS = ("family", "name", "version", "license", "parent", "lineage", "spec", "packages",
-              "platform")  # fmt: skip
+ROOT_TEXTS = ("family", "name", "version", "license", "parent", "lineage", "definition", "spec",
+              "packages", "platform")  # fmt: skip
 FOREIGN_HINT = "take another copy, or bring a foreign file into this format: mpdt-data import -h"
 
 NAME_LENGTH = 120

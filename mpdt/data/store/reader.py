@@ -15,9 +15,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.data.spec.family import stored_family
 from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.store import layout, tables
 from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.definition import read_definition
 from mpdt.data.store.digest import content_hash as hash_content
 from mpdt.data.store.integrity import check_names, check_tables
 from mpdt.data.store.opening import Opened, Source, opened
@@ -185,7 +187,7 @@ def _read(file: Opened, path: Path, arrays: _Arrays, checked: bool = True) -> Da
         if name not in tree.groups:
             raise FormatError(f"group /{name} is missing", where=where, hint=damaged_hint(path))
         found[name] = tree.columns(name, columns, sizes if checked else None)
-    family = tree.text("", "family")
+    family, definition = tree.text("", "family"), read_definition(tree)
     episodes = _columns(found["episodes"], layout.EPISODES)
     episodes["returns"] = episodes.pop("return")
     goals = _columns(found["goals"], layout.GOALS)
@@ -200,12 +202,12 @@ def _read(file: Opened, path: Path, arrays: _Arrays, checked: bool = True) -> Da
         spec_hash=tree.text("", "spec_hash"),
         content_hash=tree.text("", "content_hash"),
         parent=tree.text("", "parent"),
-        lineage=_read_lineage(tree),
+        lineage=_read_lineage(tree), definition=definition,
         # The writer reads its file back before it is sealed; `check_seal` insists on one.
         seal=tree.text("", ATTRIBUTE) if ATTRIBUTE in tree.attributes("") else "",
         packages=tree.json("", "packages"),
         platform=tree.json("", "platform"),
-        tasks=_read_tasks(found["tasks"], family, where),
+        tasks=_read_tasks(found["tasks"], family, definition, where),
         goals=tables.Goals(goals["values"], goals["dim"], goals["task"]),
         policies=tables.Policies(
             policies["hash"], policies["task"], policies["rung"], policies["level"],
@@ -266,10 +268,13 @@ def _typed(value: Any, kind: Any, tree: Tree, what: str) -> Any:
                           found=str(error), hint=layout.FOREIGN_HINT) from error  # fmt: skip
 
 
-def _read_tasks(present: dict[str, Array], family: str, where: str) -> tables.Tasks:
+def _read_tasks(
+    present: dict[str, Array], family: str, definition: dict[str, Any], where: str
+) -> tables.Tasks:
     values = _columns(present, layout.TASKS)
     names: tuple[str, ...] = values["name"]
-    known = {task.name: task.index for task in FAMILIES[family].tasks} if family in FAMILIES else {}
+    row_of = stored_family(definition) if definition else FAMILIES.get(family)
+    known = {task.name: task.index for task in row_of.tasks} if row_of else {}
     return tables.Tasks(
         names=names,
         indices=tuple(known.get(name, row) for row, name in enumerate(names)),

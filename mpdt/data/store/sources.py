@@ -22,6 +22,7 @@ class FileHeader:
         parent: content hash of the source of a cut-out file.
         packages, platform: None = of this process.
         lineage: the steps from the collected file to this one, oldest first; JSON values.
+        definition: of one's own family, see `spec.family.definition`; empty for shipped ones.
     """
 
     family: str
@@ -38,6 +39,7 @@ class FileHeader:
     packages: Mapping[str, str] | None = None
     platform: Mapping[str, str] | None = None
     lineage: Sequence[Mapping[str, Any]] = ()
+    definition: Mapping[str, Any] = field(default_factory=dict)
 
     def content(self) -> dict[str, Any]:
         """The part of the header that the content hash covers."""

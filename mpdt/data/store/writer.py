@@ -116,6 +116,8 @@ def _fill(
             layout.write_text(file, key, getattr(header, key))
         if header.lineage:
             layout.write_json(file, "lineage", {"steps": [dict(step) for step in header.lineage]})
+        if header.definition:
+            layout.write_json(file, "definition", header.definition)
         file.attrs["format"] = layout.FORMAT
         layout.write_json(file, "spec", header.spec)
         file.attrs["spec_hash"] = spec_hash(header.spec)

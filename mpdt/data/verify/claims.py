@@ -31,7 +31,6 @@ from mpdt.data.slices.standard import standard_slices
 from mpdt.data.slices.stats import compute_stats
 from mpdt.data.spec.entry import DatasetSpec, is_own_network
 from mpdt.data.spec.env import describe_env
-from mpdt.data.spec.tasks import FAMILIES
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.layout import ROLE_CODES
@@ -51,7 +50,12 @@ def check_claims(material: Material, lock: tuple[str, LockEntry | None] | None) 
     lock: the lock file's words for messages and its entry; None = the lock is not asked.
     """
     data = material.dataset
-    faults = [*_env_faults(data), *_spec_faults(data), *_stats_faults(data), *_slice_faults(data)]
+    faults = [
+        *_env_faults(data),
+        *_spec_faults(material),
+        *_stats_faults(data),
+        *_slice_faults(data),
+    ]
     faults += _origin_faults(data)
     job = _job(data)
     unproven = 0
@@ -80,16 +84,14 @@ def check_claims(material: Material, lock: tuple[str, LockEntry | None] | None) 
 
 def _env_faults(data: Dataset) -> Iterator[Fault]:
     """An entry point is code that runs when somebody recovers the environment."""
-    if data.family not in FAMILIES:
-        return
     for name, env in zip(data.tasks.names, data.tasks.envs, strict=True):
-        wanted = describe_env(data.spec, data.family, name)
-        if env not in ({}, wanted):
+        wanted = describe_env(data.spec, data.family, name, data.definition)
+        if wanted and env not in ({}, wanted):
             yield Fault(f"task {name}: not our entry point: {str(dict(env))[:80]}")
 
 
-def _spec_faults(data: Dataset) -> Iterator[Fault]:
-    roles = _roles(data)
+def _spec_faults(material: Material) -> Iterator[Fault]:
+    data, roles = material.dataset, _roles(material)
     codes = {code: role for role, code in ROLE_CODES.items()}
     for name, code in zip(data.tasks.names, data.tasks.roles.tolist(), strict=True):
         if name in roles and codes[code] != roles[name]:
@@ -131,12 +133,12 @@ def _set_faults(data: Dataset, job: Job) -> Iterator[Fault]:
             yield fault("asks for another return than its entry", wrong, f"tta {name}", doubt=True)
 
 
-def _roles(data: Dataset) -> dict[str, str]:
+def _roles(material: Material) -> dict[str, str]:
     """By task name; of an import those of the family."""
-    spec = _spec(data)
+    spec = _spec(material.dataset)
     if spec is not None:
         return {task.name: task.role for task in spec.resolve_tasks()}
-    family = FAMILIES.get(data.family)
+    family = material.family
     return {task.name: task.role for task in family.tasks} if family else {}
 
 

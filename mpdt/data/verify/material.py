@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from mpdt.data.spec.tasks import FAMILIES, Family
+from mpdt.data.spec.family import Family
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.opening import opened
 from mpdt.data.store.reader import open_tta_rewards
 from mpdt.data.store.tables import Bool, Episodes, Float32, Int64, TtaSet
+from mpdt.errors import MpdtError
 from mpdt.seeding import UNKNOWN_SEED_KEY
 
 CHUNK_BYTES = 4 << 20
@@ -116,8 +117,11 @@ class Material:
 
     @property
     def family(self) -> Family | None:
-        """The family's row, where mpdt knows it."""
-        return FAMILIES.get(self.dataset.family)
+        """Its family, where mpdt or the file knows it."""
+        try:
+            return self.dataset.contract()
+        except MpdtError:
+            return None
 
     @property
     def is_imported(self) -> bool:

@@ -23,7 +23,7 @@ from mpdt.data.lock.keeper import MACHINE
 from mpdt.data.sim.batch import BatchEnv, Play
 from mpdt.data.sim.simulators import make_batch
 from mpdt.data.sim.stored import play_stored
-from mpdt.data.spec.tasks import Family, get_family
+from mpdt.data.spec.tasks import Family
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.origin import again_hint
@@ -64,7 +64,7 @@ def replay(
     Raises: DataError for episodes without seed; UsageError for a family or goal that cannot be
         simulated; SimulatorError.
     """
-    family = get_family(dataset.family)
+    family = dataset.contract()
     if not isinstance(seed, int):
         raise DataError("its spec has no seed", where=str(dataset.path))
     by_task: dict[int, list[int]] = {}

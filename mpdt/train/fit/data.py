@@ -21,7 +21,7 @@ from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
 from mpdt.data.slices.several import open_ref
 from mpdt.data.slices.windows import RewardReturns, WindowBatch, gather_windows
 from mpdt.data.spec.goals import GoalSet
-from mpdt.data.spec.tasks import Family, Task, get_family
+from mpdt.data.spec.tasks import Family, Task
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.origin import again_hint
 from mpdt.errors import DataError, unknown_name
@@ -152,7 +152,7 @@ def load_material(ref: str, quality: str) -> Material:
                 hint="choose another --quality, or another slice",
             )  # fmt: skip
     return Material(
-        dataset=dataset, slice=slice_name, quality=chosen, family=get_family(dataset.family),
+        dataset=dataset, slice=slice_name, quality=chosen, family=dataset.contract(),
         train_rows=train_rows, test_rows=tuple(dataset.tasks.test_rows), episode_ids=ids,
     )  # fmt: skip
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from mpdt.data.sim.actors import Actions, Observations, Rewards, Rows
 from mpdt.data.slices.several import open_ref
-from mpdt.data.spec.tasks import get_family
 from mpdt.errors import DataError, UsageError, quoted
 from mpdt.train.bundle.acting import ActingPolicy
 from mpdt.train.bundle.build import Bundle
@@ -264,7 +263,7 @@ def _material(ref: str) -> Material:
         raise UsageError("a slice chooses episodes, and none is read here", where=ref,
                          hint=f"--data {quoted(dataset.path)}")  # fmt: skip
     return Material(
-        dataset=dataset, slice=None, quality=ALL, family=get_family(dataset.family),
+        dataset=dataset, slice=None, quality=ALL, family=dataset.contract(),
         train_rows=tuple(dataset.tasks.train_rows), test_rows=tuple(dataset.tasks.test_rows),
         episode_ids={},
     )  # fmt: skip

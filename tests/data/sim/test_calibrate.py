@@ -22,9 +22,12 @@ from mpdt.data.sim.calibration import (
     load_calibrations,
     save_calibrations,
 )
+from mpdt.data.sim.probe import Script
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import DataError, FormatError, SpecError, StorageError
+
+METAWORLD = Script(get_family("mt50"), "metaworld")
 
 
 def test_the_coarse_curve_leaves_out_its_known_ends():
@@ -87,8 +90,8 @@ class FakeProbe:
     Half of it at 200 steps. "bad" falls towards the script, "jump" has no middle.
     """
 
-    def __init__(self, task_name, seed):
-        self.task, self.seed = SimpleNamespace(name=task_name), seed
+    def __init__(self, script, task_name, seed):
+        self.task, self.seed, self.script = SimpleNamespace(name=task_name), seed, script
 
     def outcomes(self, rate, horizon, num_episodes):
         slope = -10.0 if self.task.name == "bad" else 400.0
@@ -101,11 +104,11 @@ class FakeProbe:
 @pytest.fixture
 def fake_probe(monkeypatch):
     monkeypatch.setattr(module, "Probe", FakeProbe)
-    monkeypatch.setattr(module, "script_hash", lambda name: f"hash of {name}")
+    monkeypatch.setattr(module, "script_hash", lambda script, name: f"hash of {name}")
 
 
 def test_calibrate_task_measures_the_level_it_reports(fake_probe):
-    found, short = calibrate_task("good", [200, 500], coarse=2, careful=4)
+    found, short = calibrate_task(METAWORLD, "good", [200, 500], coarse=2, careful=4)
     assert (found.horizon, found.rate, found.level) == (500, 0.5, 0.5)
     assert [m.mean_return for m in (found.random, found.medium, found.expert)] == [100, 300, 500]
     assert found.medium.episodes == 4 and found.curve[0].episodes == 2
@@ -122,9 +125,9 @@ def test_calibrate_task_measures_the_level_it_reports(fake_probe):
 
 def test_a_script_below_random_or_without_a_middle_is_refused(fake_probe):
     with pytest.raises(DataError, match="earns no more than uniform actions"):
-        calibrate_task("bad", [500], coarse=2, careful=4)
+        calibrate_task(METAWORLD, "bad", [500], coarse=2, careful=4)
     with pytest.raises(DataError, match=r"no mixing rate .* a level in \[0.4, 0.6\]"):
-        calibrate_task("jump", [500], coarse=2, careful=4)
+        calibrate_task(METAWORLD, "jump", [500], coarse=2, careful=4)
 
 
 def point(rate, level, error=0.01):
@@ -176,7 +179,7 @@ def test_calibrate_goes_on_where_it_was_stopped(fake_probe, monkeypatch, tmp_pat
         said.clear()
         calibrate(make_spec(horizon=77), on_progress=said.append, **change)
         assert len(said) == 2
-    monkeypatch.setattr(module, "script_hash", lambda name: f"better {name}")
+    monkeypatch.setattr(module, "script_hash", lambda script, name: f"better {name}")
     said.clear()
     calibrate(make_spec(horizon=77), seed=2, on_progress=said.append)
     assert len(said) == 2
@@ -188,8 +191,8 @@ def test_calibrate_goes_on_where_it_was_stopped(fake_probe, monkeypatch, tmp_pat
 def test_one_task_that_fails_does_not_stop_the_others(fake_probe, monkeypatch, tmp_path):
     real = module.calibrate_task
 
-    def fails(name, horizons, *, seed):
-        return real("jump" if name == "reach" else name, horizons, seed=seed)
+    def fails(script, name, horizons, *, seed):
+        return real(script, "jump" if name == "reach" else name, horizons, seed=seed)
 
     monkeypatch.setattr(module, "calibrate_task", fails)
     with pytest.raises(DataError, match="not calibrated:\n  jump, horizon 500: no mixing rate"):
@@ -198,7 +201,7 @@ def test_one_task_that_fails_does_not_stop_the_others(fake_probe, monkeypatch, t
 
 
 def test_file_is_sorted_merged_strict_and_above_the_shipped_one(fake_probe, tmp_path):
-    (one,) = calibrate_task("reach", [500], coarse=2, careful=4)
+    (one,) = calibrate_task(METAWORLD, "reach", [500], coarse=2, careful=4)
     other = msgspec.structs.replace(one, task="a-task", horizon=3)
     path = tmp_path / LOCAL_FILE
     save_calibrations(path, [one], RULE)
@@ -235,7 +238,7 @@ def test_shipped_calibration_puts_medium_between_random_and_expert(place):
     assert 0.0 < entry.rate < 1.0
     assert entry.medium.level_error <= 0.055 and entry.medium.episodes >= 20
     assert entry.versions["mujoco"] == "3.3.0" and entry.versions["metaworld"] == "3.1.1"
-    assert entry.policy == script_hash(entry.task)  # measured with the expert of today
+    assert entry.policy == script_hash(METAWORLD, entry.task)  # measured with the expert of today
 
 
 def test_a_target_that_cannot_be_written_is_refused_before_measuring(monkeypatch, tmp_path):

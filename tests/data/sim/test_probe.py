@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 
 from mpdt.data.sim import probe as module
-from mpdt.data.sim.probe import Gauge, Probe
+from mpdt.data.sim.probe import Gauge, Probe, Script
+from mpdt.data.spec.tasks import get_family
+
+SCRIPT = Script(get_family("mt50"), "metaworld")
 
 
 def test_probe_repeats_itself_and_tells_rates_apart():
-    first, again = Probe("reach", seed=3), Probe("reach", seed=3)
+    first, again = Probe(SCRIPT, "reach", seed=3), Probe(SCRIPT, "reach", seed=3)
     returns, successes = first.outcomes(0.5, 30, 2)
     # asked in another order and in two portions: the same numbers
     again.outcomes(0.0, 30, 1)
@@ -27,7 +30,7 @@ def test_a_long_episode_answers_for_a_short_one(monkeypatch):
         return real(env, policy, keys, **options)
 
     monkeypatch.setattr(module, "run_block", counted)
-    long, short = Probe("reach", seed=3), Probe("reach", seed=3)
+    long, short = Probe(SCRIPT, "reach", seed=3), Probe(SCRIPT, "reach", seed=3)
     long.outcomes(0.5, 20, 2)
     np.testing.assert_array_equal(long.outcomes(0.5, 7, 2)[0], short.outcomes(0.5, 7, 2)[0])
     assert played == [(20, [0, 1]), (7, [0, 1])]

@@ -28,7 +28,6 @@ from mpdt.data.sim.record import (
     local_notice,
     place_of,
     save_entries,
-    scene_of,
 )
 from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec
@@ -67,10 +66,10 @@ def test_joined_is_the_score_of_all_episodes() -> None:
 
 
 def test_scenes_belong_to_no_family() -> None:
-    assert scene_of(get_family("cheetah_vel"), get_family("cheetah_vel").tasks[2]) == (
+    assert get_family("cheetah_vel").scene_of(get_family("cheetah_vel").tasks[2]) == (
         "cheetah/velocity/0.225"
     )
-    assert {scene_of(get_family(n), get_family(n).task("reach")) for n in ("ml10", "mt50")} == {
+    assert {get_family(n).scene_of(get_family(n).task("reach")) for n in ("ml10", "mt50")} == {
         "sawyer/metaworld/reach"
     }
     assert place_of(spec(env={"control_cost": 0.1}), FORWARD, 50) == (
