@@ -19,6 +19,7 @@ import msgspec
 from mpdt.data.collect.job import make_job
 from mpdt.data.collect.levels import measure_levels
 from mpdt.data.reference import References
+from mpdt.data.sim.simulators import not_installed
 from mpdt.data.spec.catalog import shipped_catalog
 from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts
 from mpdt.data.store.dataset import Dataset
@@ -29,8 +30,11 @@ from mpdt.errors import DataError, MpdtError
 def standing_spec(dataset: Dataset) -> DatasetSpec:
     """The entry under which more of this file is made.
 
-    Raises: DataError for a file that was neither collected nor imported into a known family.
+    Raises: DataError for a file that was neither collected nor imported into a known family;
+        SimulatorError for a family whose simulator is not here.
     """
+    if dataset.definition and not (family := dataset.contract()).simulates:
+        raise not_installed(family)
     try:
         return msgspec.convert(dict(dataset.spec), DatasetSpec)
     except msgspec.ValidationError as error:

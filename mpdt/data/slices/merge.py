@@ -82,7 +82,11 @@ def _merge(sources: Sequence[Dataset], target: Path) -> Merged:
 
 def check_kin(first: Dataset, other: Dataset) -> None:
     """Can episodes of both stand in one file? Raises: DataError."""
-    shapes = [d.content_header() | {"tasks": None} for d in (first, other)]
+    own = [d.definition.get("fingerprint") for d in (first, other)]
+    shapes = [
+        d.content_header() | {"tasks": None, "definition": fingerprint}
+        for d, fingerprint in zip((first, other), own, strict=True)
+    ]
     keys = [{key: d.spec.get(key) for key in SAME} for d in (first, other)]
     if changes := changed_keys(shapes[0], shapes[1]) + changed_keys(keys[0], keys[1]):
         raise DataError(

@@ -23,7 +23,7 @@ from mpdt.data.lock.keeper import MACHINE
 from mpdt.data.sim.batch import BatchEnv, Play
 from mpdt.data.sim.simulators import make_batch
 from mpdt.data.sim.stored import play_stored
-from mpdt.data.spec.tasks import Family
+from mpdt.data.spec.family import Family, definition
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.origin import again_hint
@@ -150,7 +150,7 @@ def check_replay(material: Material, amount: Amount, say: Callable[[str], None])
     names = decisive_packages(data.family)
     other = other_versions(data.packages, provenance.packages(), names)
     machine = other_versions(data.platform, provenance.machine(), MACHINE[:2])
-    excuse = ", ".join(part for part in (other, machine) if part)
+    excuse = ", ".join(part for part in (_other_family(material), other, machine) if part)
     try:
         for track, ids, episodes, horizon in _chosen(material, amount):
             say(f"replay   {len(ids):,} episodes{f' of {track}' if track else ''}")
@@ -192,6 +192,17 @@ def _seed(data: Dataset, track: str) -> Any:
     """The file's root seed; a set that an import got says its own."""
     rule = data.tta[track.removeprefix("tta ")].rule if track else {}
     return data.spec.get("seed", rule.get("seed"))
+
+
+def _other_family(material: Material) -> str:
+    """How one's own family differs from the one that made the file, or nothing."""
+    told, family = material.dataset.definition, material.family
+    if not told or family is None or not family.simulates:
+        return ""
+    if told["version"] != family.version:
+        return f"{family.name} {told['version']} -> {family.version}"
+    same = told["fingerprint"] == definition(family)["fingerprint"]
+    return "" if same else f"another definition of {family.name} {family.version}"
 
 
 def _chosen(material: Material, amount: Amount) -> list[tuple[str, list[int], list[Episode], int]]:

@@ -53,9 +53,10 @@ def test_the_ways_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_where_nothing_can_draw_the_error_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    path = still_file(tmp_path)  # MuJoCo looks at the variable when it is imported
     monkeypatch.setenv("MUJOCO_GL", "chalk")
     with pytest.raises(SimulatorError) as caught:
-        shoot(still_file(tmp_path), [0])
+        shoot(path, [0])
     assert "chalk: RuntimeError" in caught.value.found and "libosmesa6" in caught.value.hint
 
 

@@ -74,7 +74,7 @@ def test_an_entry_may_split_its_tasks_anew():
         ({"tasks": (1, 2), "test": (1, 2)}, "test: leaves no training task"),
         ({"test": ()}, "test: empty"),
         ({"test": (99,)}, "test: unknown task '99'"),
-        ({"goals": GoalSet(count=5, held_out=1)}, "goals: a task of cheetah_dir is its goal"),
+        ({"goals": GoalSet(count=5, held_out=1)}, "goals: a task of cheetah_vel is its goal"),
         ({"family": "mt10", "goals": GoalSet(count=5, held_out=5)}, "goals: 5 of 5 goals"),
     ],
 )
