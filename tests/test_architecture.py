@@ -115,7 +115,7 @@ def test_the_search_for_unpicklers(source: str, found: list[str]) -> None:
     assert unpicklers(source) == found
 
 
-NAMED_NUMPY = {"Generator", "SeedSequence", "PCG64", "BitGenerator"}
+NAMED_NUMPY = {"Generator", "SeedSequence", "PCG64", "BitGenerator", "get_state"}
 TORCH_DRAWS = {
     *("rand", "randn", "randint", "randperm", "rand_like", "randn_like", "randint_like"),
     *("normal", "bernoulli", "multinomial", "poisson"),

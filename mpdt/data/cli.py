@@ -29,6 +29,7 @@ from mpdt.data.verbs.adding import Tta
 from mpdt.data.verbs.cutting import Split
 from mpdt.data.verbs.editing import Diff, Drop, Merge
 from mpdt.data.verbs.exchange import Export, Import
+from mpdt.data.verbs.family import CheckFamily
 from mpdt.data.verbs.look import Info, List, Show
 from mpdt.data.verbs.make import Calibrate, Collect, Plans, Pretrain
 from mpdt.data.verbs.options import Options
@@ -58,6 +59,7 @@ VERBS: dict[str, type[Options]] = {
     "pretrain": Pretrain,
     "calibrate": Calibrate,
     "reference": Reference,
+    "check-family": CheckFamily,
     "verify": Verify,
     "report": Report,
     "view": View,

@@ -43,7 +43,8 @@ class EnvBatch:
         self.high = np.full(family.action_size, family.action_high)
         self._envs = [make_env(family, task, options) for task in self._tasks]
         self._action_type = self._envs[0].action_space.dtype or np.dtype(np.float32)
-        self._types: list[np.dtype[Any]] = []
+        self._steps = [env.step for env in self._envs]
+        self._has_success, self._type = family.has_success, np.dtype(np.float64)
         self._clear()
 
     def _clear(self) -> None:
@@ -60,15 +61,16 @@ class EnvBatch:
         """First observations (B, D). Raises: UsageError for a goal that is not the task's."""
         check_goals(self._family, self._tasks, goals)
         self._clear()
-        self._types = []
+        first: list[NDArray[Any]] = []
         for row, (env, key) in enumerate(zip(self._envs, keys, strict=True)):
             with told(self._family, self._tasks[row], "reset"):
                 observation, _ = env.reset(seed=key.env_seed())
             if not isinstance(observation, np.ndarray) or observation.dtype.kind not in "fiu":
                 raise self._broken(row, "the observation is no array of numbers",
                                    type(observation).__name__)  # fmt: skip
-            self._types.append(observation.dtype)
-            self._show(row, observation)
+            first.append(observation)
+        self._type = first[0].dtype
+        self._observations[:] = self._stacked(first)
         self._num_steps = 0
         self._check_finite(np.zeros(self.num_rows))
         return self._observations
@@ -84,41 +86,76 @@ class EnvBatch:
                 f"{steps} steps",
                 hint="lower the horizon to it, or make it without TimeLimit",
             )
-        self._num_steps += 1
         # Of a set for adaptation they may be outside: the simulator clips them.
         given = np.clip(actions, self.low, self.high).astype(self._action_type)
-        rewards, terminations = np.zeros(self.num_rows), np.zeros(self.num_rows, np.bool_)
-        terminations[:] = True
-        terminations[self._running] = False
-        successes = np.zeros(self.num_rows, np.bool_) if self._family.has_success else None
-        self._observations = self._observations.copy()
-        ended = []
-        row = -1
+        running, steps, seen, paid = self._running, self._steps, [], []
+        ended, successes = [], np.zeros(self.num_rows, np.bool_)
+        self._num_steps += 1
+        row = running[0] if running else -1
         try:
-            for row in self._running:
-                observation, reward, terminated, truncated, info = self._envs[row].step(given[row])
-                if observation.shape != self._shape or observation.dtype != self._types[row]:
-                    self._refuse(row, observation)
-                self._observations[row] = observation
-                if not isinstance(reward, _NUMBERS):
-                    raise self._broken(row, "the reward is no number", type(reward).__name__)
-                rewards[row] = reward
-                if successes is not None:
-                    successes[row] = info["success"]
+            # All that is done per row stands here: it costs as much as a small environment.
+            for row, action in zip(running, given[running], strict=True):
+                observation, reward, terminated, truncated, info = steps[row](action)
+                seen.append(observation)
+                paid.append(reward)
                 if terminated:
-                    terminations[row] = True
                     ended.append(row)
                 elif truncated:
                     self._cut[row] = self._num_steps
+                if self._has_success:
+                    successes[row] = info["success"]
         except MpdtError:
             raise
         except Exception as error:
             raise raised(self._family, self._tasks[row], f"step {self._num_steps - 1}", error
                          ) from error  # fmt: skip
+        rewards, over = np.zeros(self.num_rows), np.ones(self.num_rows, np.bool_)
+        if running:
+            self._observations = self._observations.copy()
+            self._observations[running] = self._stacked(seen)
+            rewards[running] = self._numbers(paid)
+            over[running] = False
+            over[ended] = True
+            self._check_finite(rewards)
         if ended:
-            self._running = [row for row in self._running if row not in ended]
-        self._check_finite(rewards)
-        return StepResult(self._observations, rewards, terminations, successes)
+            self._running = [row for row in running if row not in ended]
+        return StepResult(
+            self._observations, rewards, over, successes if self._has_success else None
+        )
+
+    def _stacked(self, seen: list[Any]) -> FloatArray:
+        """Observations of the running rows. Raises: SimulatorError for another shape or type."""
+        size = self.observation_size
+        try:
+            flat = np.concatenate(seen)
+            # Lengths too: one that is short and one that is long fill the same room.
+            good = flat.shape == (len(seen) * size,) and all(len(one) == size for one in seen)
+        except (ValueError, TypeError):
+            good = False
+        if good and flat.dtype == self._type:
+            return flat.reshape(-1, size)
+        for row, observation in zip(self._running, seen, strict=True):
+            if np.shape(observation) != (size,):
+                raise self._broken(row, "an observation of another shape",
+                                   str(np.shape(observation)), f"({size},)")  # fmt: skip
+            found = np.asarray(observation).dtype
+            if found != self._type:
+                raise self._broken(row, "an observation of another type than at reset",
+                                   str(found), str(self._type))  # fmt: skip
+        return np.array(seen, np.float64)
+
+    def _numbers(self, paid: list[Any]) -> FloatArray:
+        """Rewards of the running rows. Raises: SimulatorError for what is no number."""
+        try:
+            found = np.array(paid)
+        except (ValueError, TypeError):
+            found = np.zeros(0)
+        if found.shape == (len(paid),) and found.dtype.kind in "fiu":
+            return found.astype(np.float64)
+        for row, reward in zip(self._running, paid, strict=True):
+            if not isinstance(reward, _NUMBERS):
+                raise self._broken(row, "the reward is no number", type(reward).__name__)
+        raise self._broken(self._running[0], "the rewards are no numbers", str(paid)[:80])
 
     def scene(self, row: int) -> tuple[Any, Any]:
         """MuJoCo's own (MjModel, MjData) of a row. Raises: SimulatorError where there is none."""
@@ -127,23 +164,6 @@ class EnvBatch:
             raise SimulatorError("no picture: this environment has no MuJoCo scene",
                                  where=self._family.name)  # fmt: skip
         return inner.model, inner.data
-
-    @property
-    def _shape(self) -> tuple[int]:
-        return (self.observation_size,)
-
-    def _show(self, row: int, observation: NDArray[Any]) -> None:
-        if observation.shape != self._shape:
-            self._refuse(row, observation)
-        self._observations[row] = observation
-
-    def _refuse(self, row: int, observation: Any) -> None:
-        """Raises: SimulatorError."""
-        if observation.shape != self._shape:
-            raise self._broken(row, "an observation of another shape", str(observation.shape),
-                               str(self._shape))  # fmt: skip
-        raise self._broken(row, "an observation of another type than at reset",
-                           str(observation.dtype), str(self._types[row]))  # fmt: skip
 
     def _check_finite(self, rewards: FloatArray) -> None:
         if np.isfinite(self._observations).all() and np.isfinite(rewards).all():

@@ -100,7 +100,6 @@ ODD: list[tuple[str, dict[str, Any], str]] = [
     ("shape", {}, r"step 3: an observation of another shape; expected \(2,\), found \(3,\)"),
     ("scalar", {}, r"step 3: an observation of another shape; expected \(2,\), found \(\)"),
     ("type", {}, "step 3: an observation of another type than at reset; expected float64"),
-    ("list", {}, "step 3: the environment raised; found AttributeError"),
     ("NaN", {}, "step 3: a number of the observation is not finite"),
     ("reward inf", {}, "step 3: a number of the reward is not finite; found inf"),
     ("reward array", {}, "step 3: the reward is no number; found ndarray"),
