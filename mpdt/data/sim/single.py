@@ -88,14 +88,14 @@ class EnvBatch:
             )
         # Of a set for adaptation they may be outside: the simulator clips them.
         given = np.clip(actions, self.low, self.high).astype(self._action_type)
-        running, steps, seen, paid = self._running, self._steps, [], []
-        ended, successes = [], np.zeros(self.num_rows, np.bool_)
+        running, seen, paid = self._running, list[Any](), list[Any]()
+        ended, successes = list[int](), np.zeros(self.num_rows, np.bool_)
         self._num_steps += 1
         row = running[0] if running else -1
         try:
             # All that is done per row stands here: it costs as much as a small environment.
             for row, action in zip(running, given[running], strict=True):
-                observation, reward, terminated, truncated, info = steps[row](action)
+                observation, reward, terminated, truncated, info = self._steps[row](action)
                 seen.append(observation)
                 paid.append(reward)
                 if terminated:

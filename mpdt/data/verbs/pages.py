@@ -166,7 +166,6 @@ class View(Options):
             write_mp4,
             write_png,
         )
-        from mpdt.data.spec.tasks import get_family
         from mpdt.data.store.reader import open_dataset
         from mpdt.disk import check_replaceable, holding
 
@@ -186,7 +185,7 @@ class View(Options):
                 write_png(self.png, data, film)
             if self.mp4 is not None:
                 length = int(data.episodes.length[self.episode])
-                frames, fps = clip_frames(length, get_family(data.family).step_s)
+                frames, fps = clip_frames(length, data.contract().step_s)
                 self.say(f"film     {frames} frames")
                 (film,) = shoot(self.file, [self.episode], frames)
                 data.source.expect_there()

@@ -249,7 +249,7 @@ def _speed(run: Run) -> str:
         env.reset(keys, goals)
         for step in range(actions.shape[1]):
             env.step(actions[:, step])
-        return rows * actions.shape[1]
+        return rows * int(actions.shape[1])
 
     each = _seconds_per_step(together)
     text = f"{1e6 * each:.1f} us per step, {rows} rows side by side"
