@@ -10,22 +10,20 @@ Exit codes: 0 done or nothing to do, 1 data wrong or disk refused, 2 usage or sp
 from __future__ import annotations
 
 import inspect
-import io
 import os
 import shlex
 import sys
 import traceback
 from collections.abc import Sequence
-from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Union
 
 import tyro
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg, subcommand
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 
 from mpdt.data.remote.address import hide
 from mpdt.data.verbs.adding import Tta
+from mpdt.data.verbs.completion import Shell, completion_script, verb_lines
 from mpdt.data.verbs.cutting import Split
 from mpdt.data.verbs.editing import Diff, Drop, Merge
 from mpdt.data.verbs.exchange import Export, Import
@@ -135,15 +133,8 @@ def _parse(words: Sequence[str]) -> Options:
 
 def overview() -> str:
     """The help of `mpdt-data` itself: every verb with the first line of its docstring."""
-    width = max(map(len, VERBS)) + 2
-    lines = [f"  {name:<{width}}{first_line(verb)}" for name, verb in VERBS.items()]
     usage = f"usage: {PROG} VERB [OPTIONS]      {PROG} VERB -h for its options"
-    return "\n".join([usage, "", DESCRIPTION, "Verbs:", *lines, ""])
-
-
-def first_line(verb: type[Options]) -> str:
-    """Of its docstring: what it does."""
-    return (verb.__doc__ or "").partition("\n")[0]
+    return "\n".join([usage, "", DESCRIPTION, "Verbs:", *verb_lines(VERBS), ""])
 
 
 def _values_of(option: str, words: Sequence[str]) -> list[str]:
@@ -163,20 +154,12 @@ class Completion(Options):
       mpdt-data completion fish > ~/.config/fish/completions/mpdt-data.fish
     """
 
-    shell: Annotated[Positional[Literal["bash", "zsh", "fish"]], arg(metavar="bash|zsh|fish")]
+    shell: Shell
     """The shell that shall read it."""
 
     def run(self) -> None:
-        choices = [
-            Annotated[verb, subcommand(name, description=first_line(verb))]
-            for name, verb in VERBS.items()
-        ]
-        printed = io.StringIO()
-        words = ["--tyro-print-completion", self.shell]
-        with redirect_stdout(printed), suppress(SystemExit):
-            verbs: Any = Union[tuple(choices)]  # noqa: UP007  built at run time
-            tyro.cli(verbs, args=words, prog=PROG, config=CONFIG)
-        self.print({"shell": self.shell, "script": printed.getvalue()}, printed.getvalue())
+        script = completion_script(PROG, VERBS, self.shell, CONFIG)
+        self.print({"shell": self.shell, "script": script}, script)
 
 
 VERBS["completion"] = Completion

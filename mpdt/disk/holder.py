@@ -97,6 +97,22 @@ def read_holder(handle: int) -> Holder | None:
     return holder
 
 
+def writer_of(target: Path) -> Holder | None:
+    """Who writes that file or folder now; None if nobody does, or it cannot be told."""
+    path = Path(os.path.realpath(target))
+    try:
+        handle = os.open(path.with_name(f".{path.name}.lock"), os.O_RDONLY | os.O_NONBLOCK)
+    except OSError:
+        return None
+    try:
+        holder = read_holder(handle)
+    except (OSError, ValueError):
+        return None
+    finally:
+        os.close(handle)
+    return holder if holder is not None and holder.may_live else None
+
+
 def _start_of(pid: int) -> str:
     """Ticks since boot at which a process began; "" where the kernel does not say."""
     try:

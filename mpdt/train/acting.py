@@ -1,4 +1,4 @@
-"""The verbs of mpdt-train that let a policy act: evaluate, adapt, rollout; and how any ends early.
+"""The verbs of mpdt-train that take a policy: it acts, is written, is sent; how any ends early.
 
 torch is imported in the bodies, so `--help` is quick.
 """
@@ -14,7 +14,16 @@ import tyro
 
 from mpdt.data.remote.address import revealed
 from mpdt.errors import visible
-from mpdt.train.options import PROG, Adapt, Evaluate, EvaluatePolicy, Rollout
+from mpdt.train.options import PROG
+from mpdt.train.policy_options import (
+    Adapt,
+    Bundle,
+    Evaluate,
+    EvaluatePolicy,
+    Pull,
+    Push,
+    Rollout,
+)
 
 if TYPE_CHECKING:
     from mpdt.train.evaluate.score import Block
@@ -101,3 +110,40 @@ def roll_out(command: Rollout) -> int:
         return 0
 
     return until_stopped(body)
+
+
+def bundle(command: Bundle) -> int:
+    from mpdt.data.verbs.options import print_result
+    from mpdt.train.bundle.card import card_of
+    from mpdt.train.bundle.write import check_free, write_bundle
+    from mpdt.train.run.folder import RunFolder
+    from mpdt.train.run.results import read_results, scores_in
+    from mpdt.train.run.stored import bundle_of_run
+
+    check_free(command.output)
+    scores = scores_in(read_results(command.folder))
+    contents = bundle_of_run(RunFolder(command.folder), command.data, not command.without_backbone)
+    config = write_bundle(command.output, contents, card_of(contents.config, scores))
+    size = sum(file.size for file in config.files.values())
+    facts = {"path": str(command.output), "bytes": size}
+    print_result(facts, f"{command.output}   {size / 1e6:.1f} MB", command.json)
+    return 0
+
+
+def travel(command: Push | Pull) -> int:
+    from mpdt.data.verbs.options import print_result
+    from mpdt.train.bundle.travel import pull_bundle, push_bundle
+    from mpdt.train.run.load import bundle_folder
+
+    def say(line: str) -> None:
+        if not command.quiet:
+            sys.stderr.write(f"{line}\n")
+
+    url = revealed(command.url)
+    if isinstance(command, Push):
+        folder = bundle_folder(str(command.folder))
+        facts, text = push_bundle(folder, url, command.replace, command.check, say)
+    else:
+        facts, text = pull_bundle(url, command.output, say)
+    print_result(facts, text, command.json)
+    return 0

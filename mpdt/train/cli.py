@@ -9,6 +9,7 @@
     mpdt-train --data ml10.h5 --log tensorboard,wandb    told to trackers while it goes
     mpdt-train methods                                   all of them, and what each reads
     mpdt-train settings --preset paper                   every setting and its value
+    mpdt-train watch runs/ml10-base                      what a run is doing
     mpdt-train report runs/ml10-base                     the tables of a finished run
     mpdt-train adapt runs/ml10-base --data ml10.h5 --adapt.starts infer     no training
     mpdt-train bundle runs/ml10-base -o ml10-policy      a folder that acts anywhere
@@ -20,6 +21,7 @@ Results go to stdout, talk to stderr. torch is imported in the bodies, so `--hel
 
 from __future__ import annotations
 
+import inspect
 import logging
 import os
 import signal
@@ -34,26 +36,24 @@ from typing import TYPE_CHECKING
 import tyro
 
 from mpdt.data.remote.address import hide
-from mpdt.errors import MpdtError, told, visible
+from mpdt.errors import MpdtError, told
 from mpdt.pipe import reader_may_leave
-from mpdt.train.acting import judge, judge_others, roll_out, until_stopped
+from mpdt.train.acting import bundle, judge, judge_others, roll_out, travel, until_stopped
 from mpdt.train.options import (
     COMMANDS,
     EVALUATE_POLICY,
     PROG,
-    Bundle,
     Command,
-    Evaluate,
-    EvaluatePolicy,
+    Completion,
     Methods,
-    Pull,
-    Push,
     Report,
-    Rollout,
     Run,
     Settings,
     Study,
+    Watch,
+    overview,
 )
+from mpdt.train.policy_options import Bundle, Evaluate, EvaluatePolicy, Pull, Push, Rollout
 
 if TYPE_CHECKING:
     from mpdt.train.run.begin import Beginning
@@ -106,8 +106,10 @@ def parse(verb: str, arguments: list[str]) -> tuple[Command, list[str]]:
         from mpdt.errors import unknown_name
 
         raise unknown_name("command", verb, COMMANDS, where=PROG)
+    is_run = verb == "run"
     command, rest = tyro.cli(
-        COMMANDS[verb], prog=PROG if verb == "run" else f"{PROG} {verb.split()[0]}",
+        COMMANDS[verb], prog=PROG if is_run else f"{PROG} {verb.split()[0]}",
+        description=overview() if is_run else inspect.cleandoc(COMMANDS[verb].__doc__ or ""),
         args=_one_data(verb, arguments), return_unknown_args=True,
     )  # fmt: skip
     return command, rest
@@ -150,16 +152,32 @@ def execute(command: Command, rest: list[str]) -> int:
         sys.stdout.write(settings_text(get_preset(command.preset), command.json))
         return 0
     if isinstance(command, Bundle):
-        return _bundle(command)
+        return bundle(command)
     if isinstance(command, Rollout):
         return roll_out(command)
     if isinstance(command, Push | Pull):
-        return _travel(command)
+        return travel(command)
     if isinstance(command, Methods):
         from mpdt.train.run.catalogue import print_catalogue
 
         return print_catalogue(command.preset, command.json)
+    if isinstance(command, Watch):
+        from mpdt.train.run.watch import watch
+
+        return watch(command.folder, command.once, command.json)
+    if isinstance(command, Completion):
+        return _completion(command)
     return _study(command) if isinstance(command, Study) else _report(command)
+
+
+def _completion(command: Completion) -> int:
+    from mpdt.data.verbs.completion import completion_script
+    from mpdt.data.verbs.options import print_result
+
+    verbs = {name: one for name, one in COMMANDS.items() if name != EVALUATE_POLICY}
+    script = completion_script(PROG, verbs, command.shell)
+    print_result({"shell": command.shell, "script": script}, script, command.json)
+    return 0
 
 
 def _run(command: Run, rest: list[str]) -> int:
@@ -198,6 +216,7 @@ def _run(command: Run, rest: list[str]) -> int:
 
 
 def _study(command: Study) -> int:
+    from mpdt.data.verbs.options import print_result
     from mpdt.train.study.apart import Engine, run_cells
     from mpdt.train.study.plans import get_study
     from mpdt.train.study.study import Places, inspect_cell
@@ -211,13 +230,17 @@ def _study(command: Study) -> int:
     def body(stop: StopRequest) -> int:
         looked = (inspect_cell(cell, places) for cell in cells)
         done = run_cells(cells, places, engine, stop, command.quiet, command.restart)
-        states = []
+        outcomes = []
         for outcome in looked if command.dry_run else done:
             line = f"{outcome.state:<8} {outcome.cell.name}  {outcome.note}"
-            sys.stdout.write(visible(line.rstrip()) + "\n")
-            sys.stdout.flush()
-            states.append(outcome.state)
-        return 1 if "failed" in states else 0
+            if not command.json:
+                print_result(None, line.rstrip(), as_json=False)
+            outcomes.append(
+                {"cell": outcome.cell.name, "state": outcome.state, "note": outcome.note}
+            )
+        if command.json:
+            print_result(outcomes, "", as_json=True)
+        return 1 if any(one["state"] == "failed" for one in outcomes) else 0
 
     return until_stopped(body)
 
@@ -254,41 +277,6 @@ def _report(command: Report) -> int:
         from mpdt.train.report.page import run_content, write_result
 
         write_result(command.html, run_content(results, command.folder))
-    return 0
-
-
-def _bundle(command: Bundle) -> int:
-    from mpdt.train.bundle.card import card_of
-    from mpdt.train.bundle.write import check_free, write_bundle
-    from mpdt.train.run.folder import RunFolder
-    from mpdt.train.run.results import read_results, scores_in
-    from mpdt.train.run.stored import bundle_of_run
-
-    check_free(command.output)
-    scores = scores_in(read_results(command.folder))
-    contents = bundle_of_run(RunFolder(command.folder), command.data, not command.without_backbone)
-    config = write_bundle(command.output, contents, card_of(contents.config, scores))
-    size = sum(file.size for file in config.files.values())
-    sys.stdout.write(f"{command.output}   {size / 1e6:.1f} MB\n")
-    return 0
-
-
-def _travel(command: Push | Pull) -> int:
-    from mpdt.data.remote.address import revealed
-    from mpdt.train.bundle.travel import pull_bundle, push_bundle
-    from mpdt.train.run.load import bundle_folder
-
-    def say(line: str) -> None:
-        if not command.quiet:
-            sys.stderr.write(f"{line}\n")
-
-    url = revealed(command.url)
-    if isinstance(command, Push):
-        folder = bundle_folder(str(command.folder))
-        text = push_bundle(folder, url, command.replace, command.check, say)
-    else:
-        text = pull_bundle(url, command.output, say)
-    sys.stdout.write(text + "\n")
     return 0
 
 

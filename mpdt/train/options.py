@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import inspect
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+
+from mpdt.data.verbs.completion import Shell, verb_lines
+from mpdt.train.policy_options import (
+    Adapt,
+    Bundle,
+    Evaluate,
+    EvaluatePolicy,
+    Pull,
+    Push,
+    Rollout,
+)
 
 PROG = "mpdt-train"
 EVALUATE_POLICY = "evaluate --policy"
@@ -17,12 +29,15 @@ EVALUATE_POLICY = "evaluate --policy"
 class Run:
     """Train on a data file, adapt to its unseen tasks, judge everything in the simulator.
 
-    Runs by default, without a subcommand. A run with the same settings and data in the same
-    folder continues where it stopped. Every setting of every part can be given as well, for
-    example --seed 1, --quality medium, --inputs.return-to-go none, --prompts.length 9;
-    `mpdt-train settings` lists them all. After training, other --adapt, --statistics and
-    --evaluation settings judge the same weights again. Other commands: methods, settings, adapt,
-    evaluate, study, report, bundle, rollout, push, pull.
+    Runs by default, without a verb. A run with the same settings and data in the same folder
+    continues where it stopped. Every setting can be given as well, such as --seed 1 or --quality
+    medium, and with dots --prompts.length 9; see `mpdt-train settings` for all of them. After
+    training, other settings of --adapt, --statistics and --evaluation judge the same weights again.
+
+    Examples:
+      mpdt-train --data cheetah_dir.h5
+      mpdt-train --data ml10.h5 --method MPDT-ones --adapt infer --seed 1
+      mpdt-train --data a.h5 b.h5 --preset smoke --name try
     """
 
     data: str
@@ -62,7 +77,13 @@ class Run:
 
 @dataclass(frozen=True)
 class Settings:
-    """Every setting of a preset with its value, as it can be given on the command line."""
+    """Every setting of a preset with its value, as it can be given on the command line.
+
+    Examples:
+      mpdt-train settings
+      mpdt-train settings --preset paper
+      mpdt-train settings --json
+    """
 
     preset: str = "base"
     """smoke, demo, base, paper."""
@@ -74,7 +95,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class Methods:
-    """Every method in one sentence, with what it reads at test time and its paper."""
+    """Every method in one sentence, with what it reads at test time and its paper.
+
+    Examples:
+      mpdt-train methods
+      mpdt-train methods --preset paper
+      mpdt-train methods --json
+    """
 
     preset: str = "base"
     """The preset the methods are laid over: smoke, demo, base, paper."""
@@ -85,62 +112,15 @@ class Methods:
 
 
 @dataclass(frozen=True)
-class Evaluate:
-    """Judge a stored run again without training, with other settings of judging.
-
-    Every setting of --adapt, --few-shot, --statistics and --evaluation can be given. Somebody
-    else's policy is judged by --policy in place of the folder.
-    """
-
-    folder: tyro.conf.Positional[Path]
-    """The run's folder, such as runs/ml10-base."""
-    data: str
-    """FILE or FILE:slice it was trained on."""
-    keep: Path | None = None
-    """Keep the episodes as data: with FILE.h5 in FILE-own.h5, FILE-cross.h5, ..."""
-    json: bool = False
-    """Print results.json instead of tables."""
-    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
-    """No progress on stderr."""
-    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
-    """Show tracebacks."""
-
-
-@dataclass(frozen=True)
-class Adapt(Evaluate):
-    """Adapt a stored run to its test tasks without training, and judge those tasks alone.
-
-    For example --adapt.starts infer, or --few-shot.qualities expert mixed.
-    """
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluatePolicy:
-    """Judge a function or a bundle on the tasks of a file, beside the rows of every table.
-
-    Every setting of --evaluation can be given.
-    """
-
-    policy: str
-    """module:function to be judged, act(observations, rewards, starts, task) -> actions, imported
-    from here or what is installed; or a bundle's folder or address."""
-    data: str
-    """FILE whose tasks, options and references count."""
-    keep: Path | None = None
-    """Keep the episodes as data."""
-    json: bool = False
-    """Print results instead of tables."""
-    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
-    """No progress on stderr."""
-    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
-    """Show tracebacks."""
-
-
-@dataclass(frozen=True)
 class Study:
     """Run the cells of a study that are not done yet; stop it at any time, it goes on.
 
     Cells without a data file are listed and left out.
+
+    Examples:
+      mpdt-train study one-block --dry-run
+      mpdt-train study one-block --data-dir data --workers 2
+      mpdt-train study one-block --only cheetah_vel.MPDT-ones.s0 --restart
     """
 
     name: tyro.conf.Positional[str]
@@ -164,6 +144,8 @@ class Study:
     runs and results lie where every node sees them."""
     address: str | None = None
     """Of a running Ray cluster; auto = the one of this machine."""
+    json: bool = False
+    """Print all outcomes as JSON, when the last cell is done."""
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
     """No progress on stderr."""
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
@@ -172,7 +154,13 @@ class Study:
 
 @dataclass(frozen=True)
 class Report:
-    """The tables of a finished run, or of all cells of a study."""
+    """The tables of a finished run, or of all cells of a study.
+
+    Examples:
+      mpdt-train report runs/ml10-base
+      mpdt-train report runs/ml10-base --html ml10.html
+      mpdt-train report results/studies/one-block -o tables
+    """
 
     folder: tyro.conf.Positional[Path]
     """A run's folder, such as runs/ml10-base, or a study's results: results/studies/one-block."""
@@ -188,93 +176,45 @@ class Report:
 
 
 @dataclass(frozen=True)
-class Bundle:
-    """Write a run's policy as one folder that acts anywhere: no data, no trainer, no network.
+class Watch:
+    """Show what a run is doing: updates, losses, time left; its tables when it ends.
 
-    Every run leaves one in its folder as policy/. From runs older than that it is made anew, for
-    which their data is needed: their test tasks are adapted to again.
+    It reads the run's folder and changes nothing, from any terminal of the machine. Leave it with
+    Ctrl-C; the run goes on. What is left is known once two lines of its log have come.
+
+    Examples:
+      mpdt-train watch runs/ml10-base
+      mpdt-train watch runs/ml10-base --once
+      mpdt-train watch runs/ml10-base --json
     """
 
     folder: tyro.conf.Positional[Path]
     """The run's folder, such as runs/ml10-base."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder to write; nothing may be there."""
-    data: str | None = None
-    """FILE or FILE:slice it was trained on; default: the file of that name, here or beside the
-    folder of runs."""
-    without_backbone: bool = False
-    """Leave the language model's blocks out and name them; loading reads them by name."""
-    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
-    """Show tracebacks."""
-
-
-@dataclass(frozen=True)
-class Rollout:
-    """Let a policy act in the simulator and keep its episodes as a data file.
-
-    An ordinary one, of quality `policy`: verify, show, split, merge, exports and training take it.
-    The bytes do not depend on the number of workers; an interrupted call goes on where it was.
-    """
-
-    policy: tyro.conf.Positional[str]
-    """A bundle's folder or address, or the folder of a run."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Data file to write."""
-    tasks: str = "train"
-    """train, test, all, or names with commas between them."""
-    start: str | None = None
-    """Prompts to act behind, such as own, cross or none; default: own, or none for tasks that
-    were not trained on."""
-    episodes: int = 50
-    """Episodes per task."""
-    noise: float = 0.0
-    """Standard deviation of the Gaussian added to actions, in their own unit."""
-    seed: int = 0
-    """Number of these roll-outs; those of another number begin elsewhere, and merge with these."""
-    workers: int | None = None
-    """Processes; default: one per core, 0 = in this one."""
-    restart: bool = False
-    """Throw away what an earlier call left."""
+    once: bool = False
+    """One look, as where the output is no terminal."""
     json: bool = False
-    """Print JSON instead of a table."""
-    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
-    """No progress on stderr."""
+    """One look, as JSON."""
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
     """Show tracebacks."""
 
 
 @dataclass(frozen=True)
-class Push:
-    """Send a policy's bundle to a URL, as mpdt-data push sends data.
+class Completion:
+    """Print a script that makes a shell complete verbs and options.
 
-    sftp://, webdav(s)://, s3://, gs://, az://, a mounted folder, hf://OWNER/NAME, where the hub
-    shows its card. It is proved before, read back and compared; a broken transfer goes on.
+    It knows the options of the day: print it again after an update. Those of a run come behind
+    `mpdt-train run`.
+
+    Examples:
+      mpdt-train completion bash > ~/.local/share/bash-completion/completions/mpdt-train
+      mpdt-train completion zsh > ~/.zfunc/_mpdt-train
+      mpdt-train completion fish > ~/.config/fish/completions/mpdt-train.fish
     """
 
-    folder: tyro.conf.Positional[Path]
-    """The bundle, or the folder of a run, such as runs/ml10-base, whose policy/ is sent."""
-    url: tyro.conf.Positional[str]
-    """Where it shall be; one that ends with / gets the name of the folder."""
-    replace: bool = False
-    """Also if something else is there."""
-    check: bool = True
-    """Read back what was sent; otherwise only its size counts."""
-    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
-    """No progress on stderr."""
-    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
-    """Show tracebacks."""
-
-
-@dataclass(frozen=True)
-class Pull:
-    """Bring a policy's bundle from a URL; it appears when every byte is proved."""
-
-    url: tyro.conf.Positional[str]
-    """What to bring; https:// as well."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder to put it in; default: its own name, here. Nothing is replaced."""
-    quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
-    """No progress on stderr."""
+    shell: Shell
+    """The shell that shall read it."""
+    json: bool = False
+    """As JSON."""
     verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
     """Show tracebacks."""
 
@@ -287,13 +227,20 @@ Command = (
     | EvaluatePolicy
     | Study
     | Report
+    | Watch
     | Bundle
     | Rollout
     | Push
     | Pull
+    | Completion
 )
 COMMANDS: dict[str, type[Command]] = {
     "run": Run, "methods": Methods, "settings": Settings, "adapt": Adapt, "evaluate": Evaluate,
-    EVALUATE_POLICY: EvaluatePolicy, "study": Study, "report": Report, "bundle": Bundle,
-    "rollout": Rollout, "push": Push, "pull": Pull,
+    EVALUATE_POLICY: EvaluatePolicy, "study": Study, "report": Report, "watch": Watch,
+    "bundle": Bundle, "rollout": Rollout, "push": Push, "pull": Pull, "completion": Completion,
 }  # fmt: skip
+
+
+def overview() -> str:
+    """The help of `mpdt-train` itself, above the options of a run."""
+    return "\n".join([inspect.cleandoc(Run.__doc__ or ""), "", "Verbs:", *verb_lines(COMMANDS)])

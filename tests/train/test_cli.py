@@ -251,3 +251,12 @@ def test_damage_ends_a_training_before_anything_is_kept(tiny_file, tmp_path, nam
 
 def expert_row(file):
     return int(np.flatnonzero(file["episodes/quality"][:] == 2)[0])
+
+
+def test_watch_shows_the_tables_of_a_finished_run(finished, capsys):
+    assert call("watch", finished) == 0
+    assert "MPDT from cross, adapted" in capsys.readouterr().out
+    assert call("watch", finished, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["state"] == "done" and told["phases"]["student"]["done"] == 20
+    assert ("test", "zero action") in [(row["tasks"], row["method"]) for row in told["returns"]]

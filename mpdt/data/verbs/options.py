@@ -40,13 +40,18 @@ class Options(ABC):
 
     def print(self, result: Any, text: str) -> None:
         """The result: as JSON if asked for, else as text."""
-        if self.json:
-            plain = _with_null(result)
-            is_short = not str(getattr(sys.stdout, "encoding", "")).lower().startswith("utf")
-            text = json.dumps(plain, ensure_ascii=is_short, allow_nan=False, indent=1)
-            text = visible_json(text)
-        sys.stdout.write(visible(text.rstrip("\n"), lines=True) + "\n")
-        sys.stdout.flush()
+        print_result(result, text, self.json)
+
+
+def print_result(result: Any, text: str, as_json: bool) -> None:
+    """On stdout: one JSON document, or text as it can be shown."""
+    if as_json:
+        plain = _with_null(result)
+        is_short = not str(getattr(sys.stdout, "encoding", "")).lower().startswith("utf")
+        text = json.dumps(plain, ensure_ascii=is_short, allow_nan=False, indent=1)
+        text = visible_json(text)
+    sys.stdout.write(visible(text.rstrip("\n"), lines=True) + "\n")
+    sys.stdout.flush()
 
 
 def _with_null(value: Any) -> Any:

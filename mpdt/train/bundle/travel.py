@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from mpdt.data.remote.address import last_name
 from mpdt.disk import disk
@@ -48,8 +49,8 @@ def cache_folder() -> Path:
 
 def push_bundle(
     folder: Path, url: str, replace: bool, check: bool, say: Callable[[str], None]
-) -> str:
-    """Send a bundle, every byte of which is proved before; a line about what was sent.
+) -> tuple[dict[str, Any], str]:
+    """Send a bundle, every byte of which is proved before; facts and a line about what was sent.
 
     Args:
         say: takes lines of progress.
@@ -60,11 +61,15 @@ def push_bundle(
 
     read_contents(folder)
     sent = push(folder, url, replace, check, line_writer("push", say), kind="model")
-    return summary("pushed ", sent.address, sent.num_files, sent.num_bytes, sent.num_new_bytes)
+    facts = {"url": sent.address, "files": sent.num_files, "bytes": sent.num_bytes,
+             "moved_bytes": sent.num_new_bytes, "checked": sent.checked}  # fmt: skip
+    return facts, summary("pushed ", sent.address, *list(facts.values())[1:4])
 
 
-def pull_bundle(url: str, target: Path | None, say: Callable[[str], None]) -> str:
-    """Bring a bundle, proved by its list of sums and then by its own digests; a line about it.
+def pull_bundle(
+    url: str, target: Path | None, say: Callable[[str], None]
+) -> tuple[dict[str, Any], str]:
+    """Bring a bundle, proved by its list of sums, then by its digests; facts and a line about it.
 
     Args, Raises: as `mpdt.data.remote.pull` and `read_contents`.
     """
@@ -73,5 +78,6 @@ def pull_bundle(url: str, target: Path | None, say: Callable[[str], None]) -> st
 
     found = pull(url, target, tell=line_writer("pull", say))
     read_contents(found.path)
-    return summary("pulled ", str(found.path), found.num_files, found.num_bytes,
-                   found.num_new_bytes)  # fmt: skip
+    facts = {"path": str(found.path), "files": found.num_files, "bytes": found.num_bytes,
+             "moved_bytes": found.num_new_bytes}  # fmt: skip
+    return facts, summary("pulled ", str(found.path), *list(facts.values())[1:])
