@@ -89,6 +89,8 @@ def with_references(header: FileHeader) -> tuple[FileHeader, list[str]]:
     if known or "import" not in header.spec:
         return header, []
     names, horizon = [task.name for task in header.tasks], header.spec.get("horizon")
+    if horizon is None:
+        return header, ["references stay unknown: nothing says after how many steps episodes end"]
     try:
         spec = imported_spec(header.family, names, horizon, header.spec.get("env") or {})
         found = recorded_references(spec)

@@ -216,7 +216,7 @@ def _header(
         spec={
             "name": name,
             "family": family.name,
-            "horizon": rules.horizon,
+            **({} if rules.any_length else {"horizon": rules.horizon}),
             "import": {
                 "from": rules.format,
                 "clip_actions": rules.clip_actions,

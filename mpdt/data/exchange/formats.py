@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mpdt.data.exchange import d4rl, lerobot, minari, mtdiff, npz, parquet, promptdt
+from mpdt.data.exchange import d4rl, lerobot, lerobot_in, minari, mtdiff, npz, parquet, promptdt
 from mpdt.data.exchange.folder import refuse_existing
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.selection import Selection
@@ -35,7 +35,7 @@ FORMATS: dict[str, Format] = {
     "parquet": Format(parquet.read, parquet.write),
     "npz": Format(npz.read, npz.write),
     "d4rl": Format(d4rl.read, d4rl.write, d4rl.LOST),
-    "lerobot": Format(None, lerobot.write, lerobot.LOST),
+    "lerobot": Format(lerobot_in.read, lerobot.write, lerobot.LOST),
     "promptdt": Format(promptdt.read, promptdt.write, promptdt.LOST),
     "mtdiff": Format(mtdiff.read, None),
 }

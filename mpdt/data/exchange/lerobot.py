@@ -1,4 +1,4 @@
-"""LeRobot v3 (out only): one row group per episode, written with pyarrow alone.
+"""LeRobot v3, out: one row group per episode, written with pyarrow alone.
 
     meta/info.json  meta/stats.json  meta/tasks.parquet  README.md
     meta/episodes/chunk-000/file-000.parquet     lengths, row ranges, statistics per episode

@@ -29,6 +29,8 @@ class Rules:
         clip_actions: bring actions inside the bounds, as the simulator did, instead of
             refusing them.
         hide_goal: set the columns to 0 in which this family hides the goal.
+        any_length: the format does not say how an episode ended, so one that is cut off before the
+            horizon is no mistake.
     Raises: UsageError.
     """
 
@@ -40,6 +42,7 @@ class Rules:
     clip_actions: bool = False
     hide_goal: bool = False
     license: str = "NOASSERTION"
+    any_length: bool = False
 
     def __post_init__(self) -> None:
         if self.horizon < 1:
@@ -211,7 +214,7 @@ def _flags(raw: RawEpisode, length: int, rules: Rules, where: str) -> tuple[Flag
         raise DataError("an episode ends exactly once, on its last row", where=where,
                         expected=f"an end flag on row {length - 1} only",
                         found=f"rows {rows[:6]}")  # fmt: skip
-    if truncations[-1] and length != rules.horizon:
+    if truncations[-1] and length != rules.horizon and not rules.any_length:
         raise DataError("cut off before the time limit", where=where,
                         expected=f"{rules.horizon} steps", found=str(length),
                         hint=f"if that was its limit: --horizon {quoted(length)}")  # fmt: skip

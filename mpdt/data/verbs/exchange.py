@@ -31,7 +31,7 @@ class Import(Options):
     sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SRC...")]
     """Files, or folders to look for them in."""
     format: Annotated[str, arg(name="from", metavar="FMT")]
-    """minari, parquet, npz, d4rl, promptdt or mtdiff."""
+    """minari, parquet, npz, lerobot, d4rl, promptdt or mtdiff."""
     output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")]
     """File to write; nothing is replaced."""
     family: Annotated[str | None, arg(metavar="F")] = None

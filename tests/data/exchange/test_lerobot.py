@@ -98,9 +98,3 @@ def test_large_sets_are_several_files(
     assert [(e["data/chunk_index"], e["data/file_index"]) for e in episodes[:3]] == [
         (0, 0), (0, 1), (1, 0),
     ]  # fmt: skip
-
-
-def test_it_is_no_import_format(reach: Path, run: Make, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("import", reach, "--from", "lerobot", "-o", "x.h5") == 2
-    assert "known: d4rl, minari, mtdiff, npz, parquet, promptdt" in capsys.readouterr().err
-    assert run("export", reach, "--to", "mtdiff", "-o", "x") == 2

@@ -1,0 +1,165 @@
+"""LeRobot trees in: our own export, trees of both versions, and what is wrong with others."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.reader import open_dataset
+
+Make = Callable[..., Any]
+ML10 = ("--from", "lerobot", "--family", "ml10", "--hide-goal")
+LENGTHS = (4, 3)
+
+
+def tree(folder: Path, version: str = "v2.1", **changes: Any) -> Path:
+    """Two episodes of reach and one of push with pictures, a hand state and the whole state."""
+    texts = changes.get("texts", ["reach-v3", "push-v2"])
+    features = {
+        "observation.image": {"dtype": "video", "shape": [3, 8, 8]},
+        "observation.state": {"dtype": "float32", "shape": [4]},
+        "observation.environment_state": {"dtype": "float32", "shape": [39]},
+        "action": {"dtype": "float32", "shape": [4]},
+        **{name: {"dtype": kind, "shape": [1]} for name, kind in (
+            ("next.reward", "float32"), ("next.success", "bool"), ("episode_index", "int64"),
+            ("task_index", "int64"))},
+    } | changes.get("features", {})  # fmt: skip
+    meta, data = folder / "meta", folder / "data/chunk-000"
+    meta.mkdir(parents=True)
+    data.mkdir(parents=True)
+    info = {"codebase_version": changes.get("said", version), "features": features}
+    (meta / "info.json").write_text(json.dumps(info))
+    tables = [steps(0, 0, 4), steps(1, 1, 3), steps(2, 0, 2)]
+    if version == "v3.0":
+        rows = {"task_index": [0, 1], "__index_level_0__": texts}
+        pq.write_table(pa.table(rows), meta / "tasks.parquet")
+        pq.write_table(pa.concat_tables(tables), data / "file-000.parquet")
+    else:
+        lines = [json.dumps({"task_index": i, "task": text}) for i, text in enumerate(texts)]
+        (meta / "tasks.jsonl").write_text("\n".join(lines) + "\n")
+        for number, table in enumerate(tables):
+            pq.write_table(table, data / f"episode_{number:06d}.parquet")
+    return folder
+
+
+def steps(episode: int, task: int, count: int) -> Any:
+    """Vectors as lists of any length, which is how `datasets` writes them."""
+    first = 100.0 * episode
+    vector = pa.list_(pa.float32())
+    states = np.arange(count * 39, dtype=np.float32).reshape(count, 39) + first
+    return pa.table({
+        "observation.state": pa.array(states[:, :4].tolist(), vector),
+        "observation.environment_state": pa.array(states.tolist(), vector),
+        "action": pa.array((np.full((count, 4), 0.1) * np.arange(count)[:, None]).tolist(), vector),
+        "next.reward": pa.array(np.arange(count) + first, pa.float32()),
+        "next.success": pa.array(np.arange(count) > 0),
+        "episode_index": pa.array([episode] * count), "task_index": pa.array([task] * count),
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_tree_of_others(
+    tmp_path: Path, imported: Make, capsys: pytest.CaptureFixture[str], version: str
+) -> None:
+    data: Dataset = imported(tree(tmp_path / "theirs", version), *ML10)
+    said = capsys.readouterr().err
+    assert "left out the last step of each of 3 episodes" in said
+    assert "left out observation.image" in said and "references stay unknown" in said
+    assert [data.tasks.names[row] for row in data.episodes.task] == ["reach", "reach", "push"]
+    assert data.episodes.length.tolist() == [3, 1, 2] and (data.episodes.quality == -1).all()
+    one = data.episode(0)
+    # 39 numbers are the family's; the hand's four alone are not. The goal's columns are hidden.
+    np.testing.assert_array_equal(one.observations[:, :36], np.arange(156).reshape(4, 39)[:, :36])
+    assert one.rewards.tolist() == [0, 1, 2] and one.successes.tolist() == [False, True, True]
+    np.testing.assert_allclose(one.actions[:, 0], [0, 0.1, 0.2], rtol=1e-6)
+    assert one.truncations.tolist() == [False, False, True] and not one.terminations.any()
+    assert "horizon" not in data.spec
+
+
+def test_our_own_tree_loses_its_last_steps_only(reach: Path, imported: Make, run: Make) -> None:
+    assert run("export", reach, "--to", "lerobot", "-o", "out") == 0
+    data, before = imported("out", *ML10[:4]), open_dataset(reach)
+    assert data.num_episodes == before.num_episodes == 4
+    for i in range(4):
+        one, own = data.episode(i), before.episode(i)
+        np.testing.assert_array_equal(one.observations, own.observations[:-1])
+        np.testing.assert_array_equal(one.actions, own.actions[:-1])
+        np.testing.assert_array_equal(one.rewards, own.rewards[:-1])
+        np.testing.assert_array_equal(one.successes, own.successes[:-1])
+
+
+def _text(name: str, content: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).write_text(content) and None
+
+
+def _steps(change: Callable[[Any], Any]) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        path = folder / "data/chunk-000/file-000.parquet"
+        pq.write_table(change(pq.read_table(path)), path)
+
+    return apply
+
+
+def _column(name: str, values: Any) -> Callable[[Path], None]:
+    return _steps(lambda t: t.set_column(t.column_names.index(name), name, pa.array(values)))
+
+
+def _many(folder: Path) -> None:
+    """Ten million equal numbers are a few kilobytes."""
+    table = pa.table({name: pa.array(np.zeros(10_000_000, np.int64))
+                      for name in ("episode_index", "task_index")})  # fmt: skip
+    pq.write_table(table, folder / "data/chunk-000/file-000.parquet", compression="zstd")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (_text("meta/info.json", "{"), "info.json"),
+        (_text("meta/info.json", '{"codebase_version": "v1.6"}'), "known version"),
+        (_text("meta/info.json", '{"codebase_version": "v3.0", "features": [1]}'), "info.json"),
+        (_text("meta/tasks.parquet", "no table"), "tasks.parquet"),
+        (_text("data/chunk-000/file-000.parquet", "no table"), "file-000.parquet"),
+        (_steps(lambda t: t.drop_columns("action")), "file-000.parquet"),
+        (_column("task_index", [0, 0, 1, 1, 1, 1, 1, 0, 0]), "several tasks"),
+        (_column("episode_index", [0, 0, 1, 1, 1, 1, 1, 0, 0]), "do not lie together"),
+        (_column("task_index", [7] * 9), "task_index 7 has no text"),
+        (_column("next.reward", [None] + [0.0] * 8), "empty cells"),
+        (_column("action", [[0.0] * 4] * 8 + [[0.0] * 3]), "several lengths"),
+        (_column("action", [[9.0] * 4] * 9), "outside the bounds"),
+        (_many, "more than a file of its size can hold"),
+    ],
+)
+def test_what_is_wrong_is_one_error_with_its_place(
+    tmp_path: Path, run: Make, capsys: pytest.CaptureFixture[str], change: Make, said: str
+) -> None:
+    folder = tree(tmp_path / "theirs", "v3.0")
+    change(folder)
+    assert run("import", folder, *ML10, "-o", "x.h5") in (1, 2)
+    error = capsys.readouterr().err
+    assert said in error and str(folder) in error and error.count("error:") == 1
+    assert not Path("x.h5").exists()
+
+
+def test_words_that_do_not_fit(
+    tmp_path: Path, run: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*words: object, code: int = 2) -> str:
+        assert run("import", *words, "-o", "x.h5") == code
+        return capsys.readouterr().err
+
+    folder = tree(tmp_path / "one", texts=["raech-v3", "push-v2"])
+    assert "ml10 has no task raech-v3" in (error := fails(folder, *ML10)) and "reach" in error
+    assert run("import", folder, *ML10, "--task", "reach", "-o", "y.h5") == 0
+    error = fails(folder, "--from", "lerobot", "--family", "cheetah_vel", code=1)
+    assert "no action of 6 numbers" in error
+    (tmp_path / "empty").mkdir()
+    assert "a folder with meta/info.json" in fails(tmp_path / "empty", *ML10)
+    assert "--family" in fails(folder, "--from", "lerobot")
