@@ -27,7 +27,7 @@ UNKNOWN_SEED_KEY = (4294967295,) * 5
 HISTORY_STRIDE = 65536
 """In `history` the block number of a seed key is rung * HISTORY_STRIDE + block (rule D1)."""
 
-PHASES = ("teacher", "student", "statistics", "adapt", "mixing")
+PHASES = ("teacher", "student", "statistics", "adapt", "mixing", "validation")
 """Of a run, each with random numbers of its own; append only."""
 
 

@@ -19,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mpdt.data.slices.choice import first_of_each, in_progress
+from mpdt.data.slices.held_out import By, held_out
 from mpdt.data.slices.standard import standard_additions
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.inherit import episodes_of, header_of, tta_of
@@ -41,6 +42,7 @@ class Cut:
         return_top: this share of each task's episodes, those of the highest return.
         episodes: at most so many per task.
         slice: a named slice of the file.
+        validation, by: this share of what training tasks have, see `held_out.py`.
     """
 
     quality: str | None = None
@@ -50,6 +52,8 @@ class Cut:
     return_top: float | None = None
     episodes: int | None = None
     slice: str | None = None
+    validation: float | None = None
+    by: By | None = None
 
     def rule(self) -> dict[str, Any]:
         """The conditions as JSON values, for the slice's `rule`."""
@@ -61,6 +65,8 @@ class Cut:
             "return_top": self.return_top,
             "episodes": self.episodes,
             "slice": self.slice,
+            "validation": self.validation,
+            "by": self.by,
         }
         return {name: value for name, value in found.items() if value is not None}
 
@@ -109,6 +115,9 @@ def choose(dataset: Dataset, cut: Cut) -> Int64:
         ids = _best(dataset, ids, cut.return_top)
     if cut.episodes is not None:
         ids = first_of_each(dataset, ids, cut.episodes)
+    if cut.validation is not None:
+        trained = np.isin(dataset.episodes.task[ids], dataset.tasks.train_rows)
+        ids = held_out(dataset, ids[trained], cut.validation, cut.by or "episode")
     if not len(ids):
         raise DataError(
             f"no episode fits {cut.rule()}",

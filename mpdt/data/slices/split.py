@@ -13,6 +13,9 @@ from mpdt.data.store.reader import open_dataset, parse_ref
 from mpdt.disk import holding
 from mpdt.errors import DataError, FormatError, MissingFileError, UsageError
 
+VALIDATION = "validation"
+"""Name of the slice that is held out, unless another is asked for."""
+
 
 @dataclass(frozen=True)
 class CutOut:
@@ -48,8 +51,13 @@ def split(
     Raises: UsageError for options that do not go together; MissingFileError without any
         file; DataError where no episode fits; StorageError.
     """
+    if cut.by is not None and cut.validation is None:
+        raise UsageError("--by says how --validation holds out", hint="add --validation 0.1")
+    if cut.validation is not None:
+        name = name or VALIDATION
     if name is not None and (per_task or output is not None):
-        raise UsageError("--name adds a slice to the file: no --per-task and no -o with it")
+        what = "--validation" if cut.validation is not None else "--name"
+        raise UsageError(f"{what} adds a slice to the file: no --per-task and no -o with it")
     if file is not None:
         path, slice_name = parse_ref(file)
         cut = replace(cut, slice=slice_name)
@@ -101,7 +109,7 @@ def _refuse_empty(cut: Cut, per_task: bool) -> None:
         raise UsageError(
             "nothing to cut by",
             hint="give at least one of --quality, --tasks, --train, --test, --progress, "
-            "--return-top, --episodes, --per-task or FILE:slice",
+            "--return-top, --episodes, --per-task, --validation or FILE:slice",
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -21,6 +21,7 @@ class Split(Options):
       mpdt-data split --quality medium
       mpdt-data split ml10.h5 --tasks reach,push --episodes 10 -o few.h5
       mpdt-data split cheetah_dir.h5 --quality expert --name best
+      mpdt-data split ml10.h5 --validation 0.1
     """
 
     file: Annotated[Positional[str | None], arg(metavar="FILE[:SLICE]")] = None
@@ -39,6 +40,12 @@ class Split(Options):
     """Only that share of each task's episodes, by highest return."""
     episodes: Annotated[int | None, arg(metavar="N")] = None
     """At most N per task; 10 are inside 100."""
+    validation: Annotated[float | None, arg(metavar="SHARE")] = None
+    """Add slice `validation` to the file instead: that share of what training tasks have, for
+    mpdt-train --validation. Tasks that are only tested on are never in it."""
+    by: Annotated[Literal["episode", "goal", "task"] | None, arg(metavar="X")] = None
+    """What --validation holds out: episodes of every task and quality (default), all episodes of
+    some goals of every task, or all of some tasks."""
     per_task: bool = False
     """One file per task."""
     name: Annotated[str | None, arg(metavar="S")] = None
@@ -64,6 +71,8 @@ class Split(Options):
             progress=None if self.progress is None else parse_progress(self.progress),
             return_top=self.return_top,
             episodes=self.episodes,
+            validation=self.validation,
+            by=self.by,
         )
         results = split(
             self.file, cut, per_task=self.per_task, name=self.name, output=self.output,

@@ -75,7 +75,8 @@ def _slice_faults(material: Material) -> list[Fault]:
             faults.append(fault(f"slice {name} {what}", ids[1:][steps <= 0]))
         if material.slice_parents.get(name) not in own:
             faults.append(Fault(f"slice {name} was made for another file"))
-        if name == "train" or data.slice_rules[name].get("role") == "train":
+        rule = data.slice_rules[name]
+        if name == "train" or rule.get("role") == "train" or "validation" in rule:
             leaked = ids[~np.isin(data.episodes.task[ids], train)]
             if len(leaked):
                 faults.append(fault(f"slice {name} holds test tasks", leaked))

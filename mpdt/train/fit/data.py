@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -24,7 +24,7 @@ from mpdt.data.spec.goals import GoalSet
 from mpdt.data.spec.tasks import Family, Task
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.origin import again_hint
-from mpdt.errors import DataError, unknown_name
+from mpdt.errors import DataError, quoted, unknown_name
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import SeedKey, generator_at
 
@@ -41,6 +41,8 @@ class Material:
         train_rows, test_rows: rows of /tasks; the order of the prompts.
         episode_ids: per training row, absolute ids.
         options, horizon: how the simulator of the data was set.
+        validation_ids: per row, those that are looked at and not trained on; a row may be none of
+            `train_rows`, where the task was held out whole.
     """
 
     dataset: Dataset
@@ -50,6 +52,7 @@ class Material:
     train_rows: tuple[int, ...]
     test_rows: tuple[int, ...]
     episode_ids: Mapping[int, Ids]
+    validation_ids: Mapping[int, Ids] = field(default_factory=dict)
 
     @property
     def options(self) -> Mapping[str, float | bool]:
@@ -113,12 +116,13 @@ class Material:
         return ids
 
 
-def load_material(ref: str, quality: str) -> Material:
+def load_material(ref: str, quality: str, validation: str | None = None) -> Material:
     """Open `FILE` or `FILE:slice` and choose the episodes to train on.
 
     Args:
         quality: random, medium, expert, history, policy; `all`; `auto` = expert where there is
             some, else the only quality present (a cut-out such as ml10-medium.h5).
+        validation: a slice whose episodes are not trained on.
     Raises: UsageError for unknown names; DataError if a training task has no such episode or
         the file has no statistics; whatever `open_dataset` raises.
     """
@@ -143,6 +147,10 @@ def load_material(ref: str, quality: str) -> Material:
         row: dataset.select(task=row, quality=None if chosen == ALL else chosen, slice=slice_name)
         for row in train_rows
     }
+    held: dict[int, Ids] = {}
+    if validation is not None:
+        ids, held = _without(dataset, ids, validation)
+        train_rows = tuple(ids)
     for row, of_task in ids.items():
         if not len(of_task):
             present = ", ".join(_qualities(dataset, slice_name, row)) or "nothing"
@@ -154,7 +162,39 @@ def load_material(ref: str, quality: str) -> Material:
     return Material(
         dataset=dataset, slice=slice_name, quality=chosen, family=dataset.contract(),
         train_rows=train_rows, test_rows=tuple(dataset.tasks.test_rows), episode_ids=ids,
+        validation_ids=held,
     )  # fmt: skip
+
+
+def _without(
+    dataset: Dataset, ids: Mapping[int, Ids], name: str
+) -> tuple[dict[int, Ids], dict[int, Ids]]:
+    """What is trained on and what is looked at, by row; a row without any is in neither.
+
+    Raises: UsageError for an unknown slice; DataError for one that holds test tasks or nothing of
+        what was chosen, or that leaves nothing.
+    """
+    where = f"{dataset.path}:{name}"
+    chosen = dataset.select(slice=name)
+    tested = set(dataset.episodes.task[chosen].tolist()) - set(dataset.tasks.train_rows)
+    if tested:
+        names = [dataset.tasks.names[row] for row in sorted(tested)]
+        raise DataError("a validation slice must not hold tasks that are only tested on",
+                        where=where, found=", ".join(names[:3]),
+                        hint=f"mpdt-data split {quoted(dataset.path)} --validation 0.1 makes one"
+                        )  # fmt: skip
+    held = {row: np.intersect1d(own, chosen) for row, own in ids.items()}
+    left = {row: np.setdiff1d(own, chosen) for row, own in ids.items()}
+    for what, found in (("no episode to validate on", held), ("nothing left to train on", left)):
+        if not any(map(len, found.values())):
+            raise DataError(f"{what} among those chosen by --data and --quality", where=where,
+                            hint="choose another --validation, or make it of all qualities"
+                            )  # fmt: skip
+    whole = {row for row in ids if len(held[row]) and not len(left[row])}
+    return (
+        {row: own for row, own in left.items() if row not in whole},
+        {row: own for row, own in held.items() if len(own)},
+    )
 
 
 def return_table(

@@ -21,6 +21,7 @@ class Line(msgspec.Struct, frozen=True):
     phase: str
     step: int = 0
     action_loss: float = 0.0
+    action_error: float = 0.0
     start: str = ""
     losses: list[float] = []
     task: str = ""
@@ -28,7 +29,8 @@ class Line(msgspec.Struct, frozen=True):
 
 
 # What a line of these phases has to have.
-_NEEDED = {"adapt": ("step", "start", "losses"), "infer": ("task", "weights")}
+_NEEDED = {"adapt": ("step", "start", "losses"), "infer": ("task", "weights"),
+           "validation": ("step", "action_error")}  # fmt: skip
 
 
 _MEND = "mend the line, or train again with --restart"

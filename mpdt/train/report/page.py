@@ -22,6 +22,7 @@ from mpdt.errors import MpdtError
 from mpdt.train.evaluate.score import MEAN, Block, Score
 from mpdt.train.evaluate.tables import BLOCKS, build_tables
 from mpdt.train.fit.log import MetricsLog
+from mpdt.train.fit.validation import PHASE as VALIDATION
 from mpdt.train.report.charts import (
     Curves,
     adaptation_chart,
@@ -157,6 +158,9 @@ def _run_curves(log: Sequence[Mapping[str, Any]]) -> list[Curves]:
     for record in log:
         if "action_loss" in record:
             losses.setdefault(record["phase"], []).append((record["step"], record["action_loss"]))
+        elif record.get("phase") == VALIDATION:
+            points = losses.setdefault(VALIDATION, [])
+            points.append((record["step"], record["action_error"]))
         elif record.get("phase") == "adapt":
             starts.setdefault(record["start"], []).append((record["step"], record["losses"]))
     found = []

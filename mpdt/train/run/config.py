@@ -43,6 +43,13 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     and 15 times slower with torch's own (spinning) waits. See docs/log.md, 2026-11-22."""
     target_quantile: float = 0.9
     """Return asked of training tasks in closed loop, as a quantile of their training episodes."""
+    validation: str | None = None
+    """Slice whose episodes are not trained on: their action error is reported with every
+    checkpoint, without the simulator. `mpdt-data split FILE --validation 0.1` makes one."""
+    patience: int = 0
+    """End training once that error has not fallen for so many looks, and keep the weights of the
+    best look; 0 = train to the end and keep the last. It is off: what the training's own error says
+    of returns is in docs/results.md."""
     began_from: str | None = None
     """Seal of the bundle whose numbers training begins with. `--from` sets it."""
     hardware: HardwareSettings = HardwareSettings()
@@ -62,11 +69,14 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     def __post_init__(self) -> None:
         for name, low, high in (("seed", 0, 2**63 - 1), ("threads", 0, 1024),
-                                ("target_quantile", 0, 1)):  # fmt: skip
+                                ("target_quantile", 0, 1), ("patience", 0, 2**31)):  # fmt: skip
             if not low <= getattr(self, name) <= high:
                 raise SpecError("setting out of range", where=name,
                                 expected=f"{low} to {high}",
                                 found=str(getattr(self, name)))  # fmt: skip
+        if self.patience and self.validation is None:
+            raise SpecError("patience with nothing to look at", where="patience",
+                            hint="--validation SLICE, or leave it out")  # fmt: skip
         shots = self.few_shot
         if not shots.qualities:
             return

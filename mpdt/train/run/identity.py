@@ -66,8 +66,9 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
     # What plain hardware does belongs to runs from before there was a choice, too.
     if settings["hardware"] == to_plain(TrainConfig())["hardware"]:
         del settings["hardware"]
-    if settings["began_from"] is None:  # as all did once
-        del settings["began_from"]
+    for name, plain in (("began_from", None), ("validation", None), ("patience", 0)):
+        if settings[name] == plain:  # as in runs from before there was a choice
+            del settings[name]
     return settings
 
 
@@ -88,8 +89,14 @@ def _trained_on(material: Material) -> dict[str, Any]:
         "slice": material.slice,
         "episodes": _hash_arrays(material.episode_ids[row] for row in material.train_rows),
         "statistics": _hash_arrays([stats["mean"], stats["std"]]),
+        **_validated_on(material),
         **files_of(dataset),
     }
+
+
+def _validated_on(material: Material) -> dict[str, str]:
+    rows = sorted(material.validation_ids)
+    return {"validation": _hash_arrays(material.validation_ids[r] for r in rows)} if rows else {}
 
 
 def _judged_on(config: TrainConfig, material: Material) -> dict[str, Any]:

@@ -35,7 +35,8 @@ def prepare(config: TrainConfig, ref: str) -> Prepared:
     Raises: as `load_material` and `identify`; DataError where judging needs random episodes of
         the training tasks and the file holds none.
     """
-    plain, material = plain_settings(config), load_material(ref, config.quality)
+    plain = plain_settings(config)
+    material = load_material(ref, config.quality, config.validation)
     random = config.statistics.source == "random" and config.adapt.aligns
     if material.test_rows and (random or config.adapt.infers):
         material.random_ids()

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from mpdt.data.store.proof import BackgroundProof
 from mpdt.errors import UsageError
@@ -27,11 +29,13 @@ from mpdt.train.fit.mixing import held_out_mixtures
 from mpdt.train.fit.reward import read_training_tasks
 from mpdt.train.fit.teacher import Teacher
 from mpdt.train.fit.trained import Trained
+from mpdt.train.fit.validation import Validation
 from mpdt.train.run.build import Learner
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder
 from mpdt.train.run.follower import Follower, Nobody
 from mpdt.train.run.identity import JUDGING
+from mpdt.train.run.looking import Looking
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.spent import Spent
 from mpdt.train.run.stop import Stopped
@@ -61,6 +65,7 @@ class Trainer:
     def __post_init__(self) -> None:
         prepared = self.learner.prepared
         self._config, self._material = prepared.config, prepared.material
+        self._ended = False  # by patience, with fewer updates than were asked for
 
     def train(self) -> Trained:
         """Phases A and B, from whole weights or from the checkpoints if there are any.
@@ -78,9 +83,13 @@ class Trainer:
             folder.log.cut(int(str(header.settings["metrics_bytes"])))
             self.follower.kept(folder.log.size_bytes)
             self.progress.say(f"trained already: {folder.weights}")
-            return learner.trained(learner.asked)
+            return self._trained(msgspec.convert(header.settings["updates"], dict[str, int]))
         with Spent(folder).training():
-            return learner.trained(self._phases(subject, began_s))
+            return self._trained(self._phases(subject, began_s))
+
+    def _trained(self, steps: dict[str, int]) -> Trained:
+        trained = self.learner.trained(steps)
+        return replace(trained, asked=steps) if self._ended else trained
 
     def _phases(self, subject: Subject, began_s: float) -> dict[str, int]:
         """Phases A and B and their file; the updates done."""
@@ -100,9 +109,28 @@ class Trainer:
                 teacher = Teacher(learner.policy, learner.teacher_prompts, self._config.teacher)
         if isinstance(learner.prompts, MixedPrompts):
             self._mix(learner.prompts)
-        steps["student"] = self._fit("student", subject, began_s, 1.0, teacher)
+        looking = self._looking()
+        steps["student"] = self._fit("student", subject, began_s, 1.0, teacher, looking)
+        whole = steps["student"] == learner.asked["student"] or (looking and looking.is_over())
+        if looking and looking.patience and whole:
+            steps["student"], self._ended = looking.take_best(subject), True
+            self.progress.say(f"the best look was after {steps['student']} updates: taken")
         self._save(self.folder.weights, "mpdt", subject, steps)
+        if looking and whole:
+            looking.forget()
         return steps
+
+    def _looking(self) -> Looking | None:
+        material, config = self._material, self._config
+        if not material.validation_ids:
+            return None
+        validation = Validation(
+            material, config.sampler.window, phase_seed(config.seed, "validation")
+        )
+        return Looking(
+            validation, self.folder, self.learner.hashes, config.multitask.checkpoint_every,
+            config.patience,
+        )  # fmt: skip
 
     def _mix(self, prompts: MixedPrompts) -> None:
         """The held-out mixtures; a function of data and settings, so a resumed run has the same."""
@@ -136,7 +164,8 @@ class Trainer:
         if not path.exists():
             return None
         header, tensors = load_weights(path, kind=kind, hashes=self.learner.hashes)
-        if header.settings["updates"] != dict(asked):
+        self._ended = bool(header.settings.get("ended"))
+        if header.settings["updates"] != dict(asked) and not self._ended:
             return None
         subject.load(tensors)
         return header
@@ -153,19 +182,16 @@ class Trainer:
             settings={
                 "updates": updates,
                 "metrics_bytes": self.folder.log.size_bytes,
+                **({"ended": True} if self._ended else {}),
                 "config": {k: v for k, v in to_plain(self._config).items() if k not in JUDGING},
             },
         )
         self.folder.log.sync()
         save_weights(path, subject.tensors(optimizer=False), header)
-        for phase in updates:
-            if updates[phase] == self.learner.asked[phase]:
-                self.folder.checkpoint(phase).unlink(missing_ok=True)
-        self._kept(updates)
-
-    def _kept(self, updates: Mapping[str, int]) -> None:
-        """Tell of the log as it is, unless a phase of `updates` is still to go on: it cuts it."""
-        if all(done == self.learner.asked[phase] for phase, done in updates.items()):
+        whole = [phase for phase in updates if updates[phase] == self.learner.asked[phase]]
+        for phase in updates if self._ended else whole:
+            self.folder.checkpoint(phase).unlink(missing_ok=True)
+        if self._ended or len(whole) == len(updates):  # else a phase goes on and cuts the log
             self.follower.kept(self.folder.log.size_bytes)
 
     def _prove(self) -> None:
@@ -180,6 +206,7 @@ class Trainer:
         began_s: float,
         share: float,
         teacher: Teacher | None = None,
+        looking: Looking | None = None,
     ) -> int:
         """One training phase with its log, checkpoints, stop and share of the time limit."""
         config, log, num_steps = self._config, self.folder.log, self.learner.asked[phase]
@@ -188,6 +215,8 @@ class Trainer:
         self.follower.kept(log.size_bytes)
         if first:
             self.progress.say(f"resuming {phase} after {first} of {num_steps} updates")
+        if looking and looking.is_over():  # and was stopped before its weights were written
+            return first
 
         def save(done: int) -> None:
             self._prove()
@@ -203,6 +232,7 @@ class Trainer:
             regular = done % config.multitask.log_every == 0 or done == num_steps
             if regular:
                 log.append(record | prompt_norms(subject.prompts))
+            over = looking is not None and looking.look(done, num_steps, subject, update)
             text = f"action loss {parts['action_loss']:.4f}"
             if "distillation_loss" in parts:
                 text += f"  distillation {parts['distillation_loss']:.4f}"
@@ -216,7 +246,7 @@ class Trainer:
             if late and not regular:
                 # After the checkpoint: whoever continues there forgets the extra line.
                 log.append(record | prompt_norms(subject.prompts))
-            return late
+            return late or over
 
         hardware = Hardware(config.hardware, self.group)
         parts = [subject.policy, subject.prompts, *([teacher] if teacher else [])]

@@ -23,6 +23,7 @@ from mpdt.disk import disk, holding, write_bytes
 from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError
 from mpdt.reading import read_json
 from mpdt.train.evaluate.sealed import check_digest, sealed
+from mpdt.train.fit.validation import PHASE as VALIDATION
 from mpdt.train.run.config import TrainConfig, from_plain, to_plain
 from mpdt.train.run.folder import locate
 from mpdt.train.run.identity import plain_settings
@@ -179,12 +180,15 @@ def encode_cell(content: Mapping[str, Any]) -> bytes:
 def _curve(log: Sequence[Mapping[str, Any]]) -> dict[str, list[list[float]]]:
     """At most `CURVE_POINTS` pairs of (update, loss) per phase, the last one among them.
 
-    `teacher`, `student`: action loss. `adapt START`: alignment, mean over the test tasks.
+    `teacher`, `student`: action loss. `validation`: action error. `adapt START`: alignment, mean
+    over the test tasks.
     """
     curves: dict[str, list[list[float]]] = {}
     for record in log:
         if "action_loss" in record:
             phase, loss = record["phase"], record["action_loss"]
+        elif record.get("phase") == VALIDATION:
+            phase, loss = VALIDATION, record["action_error"]
         elif record.get("phase") == "adapt":
             phase, loss = f"adapt {record['start']}", float(np.mean(record["losses"]))
         else:
