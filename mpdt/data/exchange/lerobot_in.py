@@ -121,7 +121,8 @@ def _trees(paths: Sequence[Path]) -> Iterator[_Tree]:
             raise FormatError("not a LeRobot tree of a known version", where=str(info),
                               expected="codebase_version v2.0, v2.1 or v3.0", found=str(version),
                               hint="lerobot converts older ones")  # fmt: skip
-        folder, features = info.parent.parent, content.get("features")
+        folder = info.parent.parent
+        features: Any = content.get("features")
         with _told(info):
             kinds = {str(name): str(one["dtype"]) for name, one in features.items()}
             widths = {name: int(np.prod(features[name]["shape"], dtype=np.int64))
