@@ -38,15 +38,17 @@ def sampler_of(dataset: Any) -> Any:
 def standardised(dataset: Any, batches: int) -> Callable[[], float]:
     """`batches` batches with what a training step reads; windows done."""
     sampler = sampler_of(dataset)
-    mean = dataset.stats["observations"]["mean"].astype(np.float32)
-    scale = (1 / np.maximum(dataset.stats["observations"]["std"], 1e-6)).astype(np.float32)
+    # Over whole windows: numpy begins anew for every row of an array that it spreads.
+    mean = np.tile(dataset.stats["observations"]["mean"].astype(np.float32), K)
+    std = dataset.stats["observations"]["std"]
+    scale = np.tile((1 / np.maximum(std, 1e-6)).astype(np.float32), K)
     step = 0
 
     def run() -> float:
         nonlocal step
         for _ in range(batches):
             batch = sampler.batch(step)
-            seen = batch.observations  # a copy of its own
+            seen = batch.observations.reshape(-1, len(mean))  # a copy of its own
             np.subtract(seen, mean, out=seen)
             np.multiply(seen, scale, out=seen)
             step += 1

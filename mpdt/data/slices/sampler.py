@@ -165,6 +165,7 @@ class _Table:
         self._ends = np.cumsum(self._lengths)
         self._num_steps = np.array([lengths[own].sum() for own in ids])
         self._before = np.cumsum(self._num_steps) - self._num_steps
+        self._starts = (self._lengths + start_bias).astype(np.uint64)
         # numpy draws nothing from a range of one number, and two words from one beyond 32 bits.
         least = min(int(self._lengths.min()) + start_bias, int(self._num_steps.min()))
         most = max(int(self._lengths.max()) + start_bias, int(self._num_steps.max()))
@@ -196,14 +197,17 @@ class _Table:
         if not self._one_word_each:
             return None
         words = generator.integers(_WORDS, size=(len(slots), 2, count), dtype=np.uint32)
-        steps = _below(words[:, 0], self._num_steps[slots][:, None])
+        steps = _below(words[:, 0], self._num_steps[slots].astype(np.uint64)[:, None])
         if steps is None:
             return None
-        picks = self._owners(steps + self._before[slots][:, None])
-        starts = _below(words[:, 1], self._lengths[picks] + self._bias)
+        steps += self._before[slots][:, None]
+        picks = self._owners(steps)
+        starts = _below(words[:, 1], self._starts.take(picks))
         if starts is None:
             return None
-        return self._ids[picks], np.maximum(starts - self._bias, 0)
+        if self._bias:
+            starts = np.maximum(starts - self._bias, 0)
+        return self._ids.take(picks), starts
 
     def _owners(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
         """Positions of the episodes in which these steps lie."""
@@ -211,13 +215,14 @@ class _Table:
 
 
 _WORDS = 1 << 32
+_LOWER, _HALF = np.uint64(_WORDS - 1), np.uint64(32)
 
 
-def _below(words: NDArray[np.uint32], bound: NDArray[np.int64]) -> NDArray[np.int64] | None:
+def _below(words: NDArray[np.uint32], bound: NDArray[np.uint64]) -> NDArray[np.int64] | None:
     """What `Generator.integers(bound)` makes of one word each; None if it wanted another word."""
-    wide = words * bound.astype(np.uint64)
-    left = wide.astype(np.uint32)
-    doubtful = left < bound
-    if doubtful.any() and (left < (_WORDS - bound) % bound).any():
+    wide = words * bound
+    left = wide & _LOWER
+    if (left < bound).any() and (left < (np.uint64(_WORDS) - bound) % bound).any():
         return None
-    return (wide >> np.uint64(32)).astype(np.int64)
+    wide >>= _HALF
+    return wide.view(np.int64)

@@ -28,7 +28,8 @@ from mpdt.errors import ShapeError
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float32]
 Returns = Callable[[Ids, Ids], Floats]
-"""(episode ids (n, M), ascending steps (n, M, K)) -> returns-to-go (n, M, K), reward units."""
+"""(episode ids (n, M), ascending steps (n, M, K)) -> returns-to-go (n, M, K), reward units; an
+array of its own, in which pads are overwritten."""
 
 KEPT_STEPS = 1 << 26
 """Of larger files `RewardReturns` keeps sums alone; 256 MB of returns."""
@@ -101,7 +102,7 @@ class WindowCutter:
         slots: Ids | None = None,
     ) -> WindowBatch:
         """As `gather_windows`."""
-        length = self._length[episodes]
+        length = self._length.take(episodes)
         if episodes.shape != starts.shape or episodes.ndim != 2:
             raise ShapeError(
                 "episodes and starts of windows disagree",
@@ -118,22 +119,29 @@ class WindowCutter:
                 found=str(int(starts[row])),
             )
         window, n = len(self._places), len(episodes)
-        pads = np.maximum(starts + window - length, 0)
+        pads = starts + (window - length)
+        np.maximum(pads, 0, out=pads)
         first = starts - pads  # the K rows that end where the window ends
-        mask = self._places >= pads[..., None]
-        step = np.maximum(first[..., None] + self._places, starts[..., None])
-        row_of_step = self._start[episodes] + first
-        observations = self._observations.at(self._obs_start[episodes] + first)
+        row_of_step = self._start.take(episodes) + first
+        observations = self._observations.at(self._obs_start.take(episodes) + first)
         actions = self._actions.at(row_of_step)
         previous = np.empty_like(actions)
         previous[..., 1:, :] = actions[..., :-1, :]
         previous[..., 0, :] = self._actions.row(np.maximum(row_of_step - 1, 0))
         begins = np.flatnonzero(starts == 0)
         previous.reshape(-1, window, actions.shape[-1])[begins, pads.reshape(-1)[begins]] = 0
-        returns_to_go = np.where(mask, returns(episodes, step), np.float32(0))
-        holes = np.flatnonzero(~mask)
+        step = first[..., None] + self._places
+        mask = np.ones(step.shape, np.bool_)
+        # Few windows reach beyond their episode: what pads need is done for those alone.
+        short = np.flatnonzero(pads)
+        inside = self._places >= pads.reshape(-1, 1)[short]
+        mask.reshape(-1, window)[short] = inside
+        holes = (short[:, None] * window + self._places)[~inside]
+        step.reshape(-1)[holes] = starts.reshape(-1)[holes // window]
+        returns_to_go = np.asarray(returns(episodes, step), np.float32)
         for values in (observations, actions, previous):
             values.reshape(-1, values.shape[-1])[holes] = 0
+        returns_to_go.reshape(-1)[holes] = 0
         step.reshape(-1)[holes] = 0
         return WindowBatch(
             observations=np.asarray(observations, np.float32),

@@ -31,7 +31,7 @@ class JoinedRows:
         self, arrays: Sequence[NDArray[Any]], number: Int64, first: Int64, count: Int64
     ) -> None:
         # Plain arrays: every piece of a memmap would be one more memmap.
-        self._arrays = [np.asarray(array) for array in arrays]
+        self.arrays = [np.asarray(array) for array in arrays]
         number, first, count = (np.asarray(one, np.int64) for one in (number, first, count))
         number, first, count = (one[count > 0] for one in (number, first, count))
         begins = np.ones(len(count), np.bool_)
@@ -39,12 +39,17 @@ class JoinedRows:
         starts = np.cumsum(count) - count
         self._starts = starts[begins]
         self._number, self._first = number[begins], first[begins]
-        self.shape = (int(count.sum()), *self._arrays[0].shape[1:])
-        self.dtype = self._arrays[0].dtype
+        self.shape = (int(count.sum()), *self.arrays[0].shape[1:])
+        self.dtype = self.arrays[0].dtype
         self.ndim = len(self.shape)
 
     def __len__(self) -> int:
         return int(self.shape[0])
+
+    def located(self, rows: Int64) -> tuple[Int64, Int64]:
+        """In which of `arrays` rows lie, and at which of its rows; in any shape."""
+        run = np.searchsorted(self._starts, rows, side="right") - 1
+        return self._number[run], rows - self._starts[run] + self._first[run]
 
     def take(self, rows: Any, axis: int = 0) -> NDArray[Any]:
         """A copy of rows by number, in any shape. Raises: IndexError."""
@@ -55,12 +60,10 @@ class JoinedRows:
             raise IndexError(f"row outside 0 to {len(self) - 1}")
         at = np.where(at < 0, at + len(self), at)
         found = np.empty((*at.shape, *self.shape[1:]), self.dtype)
-        run = np.searchsorted(self._starts, at, side="right") - 1
         if not at.size:
             return found
-        at = at - self._starts[run] + self._first[run]
-        number = self._number[run]
-        for which, array in enumerate(self._arrays):
+        number, at = self.located(at)
+        for which, array in enumerate(self.arrays):
             here = number == which
             if here.all():
                 return array.take(at, axis=0)
@@ -92,9 +95,9 @@ class JoinedRows:
             low, high = max(start, int(self._starts[run])), min(stop, int(ends[run]))
             shift = int(self._first[run] - self._starts[run])
             rows = (slice(low + shift, high + shift), *rest)
-            pieces.append(self._arrays[int(self._number[run])][rows])
+            pieces.append(self.arrays[int(self._number[run])][rows])
         if not pieces:
-            return self._arrays[0][(slice(0, 0), *rest)]
+            return self.arrays[0][(slice(0, 0), *rest)]
         return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
