@@ -26,7 +26,7 @@ SHOWN = [
     ("metaworld_envpool", "ML10's 10 training tasks, scripts", "collect ML10, scripts"),
     ("storing", "pack", "pack"),
     ("storing", "verify", "verify"),
-    ("sampling", "256 windows", "draw windows"),
+    ("sampling", "256 windows of 8 tasks", "draw windows"),
     ("training", "update, GPT-2|arithmetic of an update, GPT-2", "update, GPT-2 small"),
     ("acting", "acting, SmolLM2-135M, bfloat16, 1 block, 100", "act, 100 rows"),
     ("pretraining", "PPO on cheetah_dir, simulate", "PPO, simulate"),

@@ -1,4 +1,4 @@
-"""Drawing windows: K = 20, 16 per task, padded, with returns-to-go and normalised observations.
+"""Drawing windows: K = 20, 32 or 16 per task, padded, with returns-to-go, normalised observations.
 
     python benchmarks/speed/sampling.py [--rounds 7] [--keep]
 
@@ -8,36 +8,47 @@ floor    rows of one packed array in RAM, nothing else: no pads, sums, masks or 
 peers    a loop over episode dictionaries as Prompt-DT has it; Minari `sample_episodes`, h5py
          slices, torchrl's and d3rlpy's samplers, each cut to windows of 20. Minari, h5py and
          torchrl hand out plain windows: they are not padded, summed or normalised here
+
+Then the same from two files that are read as one, and through torch's DataLoader with two spawned
+workers, whose own memory is looked at: they map the file and hold no copy of it.
 """
 
 from __future__ import annotations
 
-import os
 import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import rounds
 import synthetic
+from sampling_peers import (
+    HORIZON,  # fmt: skip
+    LOOP,
+    SLICES,
+    Drawn,
+    K,
+    h5py_slices,
+    peers,
+    prompt_dt_loop,
+)
 
-K, PER_TASK, HORIZON = 20, 16, 500
+CASES = [Drawn("ml10", 8, 32, 60, 40), Drawn("ml45", 45, 16, 20, 10)]
 
 
-def sampler_of(dataset: Any) -> Any:
+def sampler_of(dataset: Any, drawn: Drawn) -> Any:
     from mpdt.data.slices.sampler import WindowSampler
 
-    rows = list(dataset.tasks.train_rows)
+    rows = drawn.rows(dataset)
     ids = {row: dataset.select(task=row, quality="expert") for row in rows}
-    return WindowSampler(dataset, ids, rows, K, PER_TASK, 0)
+    return WindowSampler(dataset, ids, rows, K, drawn.per_task, 0)
 
 
-def standardised(dataset: Any, batches: int) -> Callable[[], float]:
-    """`batches` batches with what a training step reads; windows done."""
-    sampler = sampler_of(dataset)
+def standardised(dataset: Any, drawn: Drawn) -> Callable[[], float]:
+    """Some batches with what a training step reads; windows done."""
+    sampler = sampler_of(dataset, drawn)
     # Over whole windows: numpy begins anew for every row of an array that it spreads.
     mean = np.tile(dataset.stats["observations"]["mean"].astype(np.float32), K)
     std = dataset.stats["observations"]["std"]
@@ -46,226 +57,122 @@ def standardised(dataset: Any, batches: int) -> Callable[[], float]:
 
     def run() -> float:
         nonlocal step
-        for _ in range(batches):
+        for _ in range(drawn.batches):
             batch = sampler.batch(step)
             seen = batch.observations.reshape(-1, len(mean))  # a copy of its own
             np.subtract(seen, mean, out=seen)
             np.multiply(seen, scale, out=seen)
             step += 1
-        return float(batches * batch.mask[..., 0].size)
+        return float(drawn.batches * batch.mask[..., 0].size)
 
     return run
 
 
-def floor(dataset: Any, batches: int) -> Callable[[], float]:
+def floor(dataset: Any, drawn: Drawn) -> Callable[[], float]:
     """Rows of one array (N, D + A + 1) by index."""
     steps = dataset.steps
     rows = len(steps.actions)
     packed = np.concatenate(
         [steps.observations[:rows], steps.actions, steps.rewards[:, None]], axis=1)  # fmt: skip
     generator = np.random.default_rng(0)
-    count = PER_TASK * len(dataset.tasks.train_rows)
-    starts = generator.integers(rows - K, size=(batches, count))
+    starts = generator.integers(rows - K, size=(drawn.batches, drawn.windows))
     index = starts[..., None] + np.arange(K)
 
     def run() -> float:
         for one in index:
             packed.take(one, axis=0)
-        return float(batches * count)
+        return float(starts.size)
 
     return run
 
 
-def dictionaries(dataset: Any) -> list[list[dict[str, Any]]]:
-    """Episodes of each training task as Prompt-DT keeps them."""
-    found = []
-    for row in dataset.tasks.train_rows:
-        episodes = [dataset.episode(int(i)) for i in dataset.select(task=row, quality="expert")]
-        found.append([{"observations": e.observations[:-1].copy(), "actions": e.actions.copy(),
-                       "rewards": e.rewards.copy(), "terminals": e.terminations.copy()}
-                      for e in episodes])  # fmt: skip
-    return found
+def loader(dataset: Any, drawn: Drawn) -> tuple[Any, Callable[[], float]]:
+    """torch's DataLoader with two spawned workers that live on, and a way to draw from it."""
+    from torch.utils.data import DataLoader
 
-
-def prompt_dt_loop(dataset: Any) -> Callable[[], float]:
-    """One batch, window after window. Written after mxu34/prompt-dt, `get_batch`."""
-    import torch
-
-    tasks = dictionaries(dataset)
-    mean, std = (dataset.stats["observations"][name] for name in ("mean", "std"))
-    std = np.maximum(std, 1e-6)
-    generator = np.random.default_rng(0)
-    columns, size = dataset.observation_size, dataset.action_size
-
-    def to_go(rewards: Any) -> Any:
-        sums = np.zeros_like(rewards)
-        sums[-1] = rewards[-1]
-        for t in reversed(range(len(rewards) - 1)):
-            sums[t] = rewards[t] + sums[t + 1]
-        return sums
+    made = DataLoader(sampler_of(dataset, drawn), batch_size=None, num_workers=2,
+                      sampler=range(10 * drawn.batches), prefetch_factor=4,
+                      persistent_workers=True, multiprocessing_context="spawn")  # fmt: skip
 
     def run() -> float:
-        for episodes in tasks:
-            lengths = np.array([len(e["rewards"]) for e in episodes])
-            chosen = generator.choice(len(episodes), PER_TASK, p=lengths / lengths.sum())
-            s, a, r, rtg, steps, masks = [], [], [], [], [], []
-            for i in chosen:
-                episode = episodes[i]
-                first = int(generator.integers(len(episode["rewards"])))
-                seen = episode["observations"][first : first + K].reshape(1, -1, columns)
-                pad = K - seen.shape[1]
-                seen = np.concatenate([np.zeros((1, pad, columns)), seen], axis=1)
-                s.append((seen - mean) / std)
-                part = episode["actions"][first : first + K].reshape(1, -1, size)
-                a.append(np.concatenate([np.ones((1, pad, size)) * -10.0, part], axis=1))
-                part = episode["rewards"][first : first + K].reshape(1, -1, 1)
-                r.append(np.concatenate([np.zeros((1, pad, 1)), part], axis=1))
-                sums = to_go(episode["rewards"][first:])[:K].reshape(1, -1, 1)
-                rtg.append(np.concatenate([np.zeros((1, pad, 1)), sums], axis=1))
-                clock = np.arange(first, first + K - pad).reshape(1, -1)
-                steps.append(np.concatenate([np.zeros((1, pad)), clock], axis=1))
-                masks.append(np.concatenate([np.zeros((1, pad)), np.ones((1, K - pad))], axis=1))
-            for parts in (s, a, r, rtg, steps, masks):
-                torch.from_numpy(np.concatenate(parts, axis=0)).to(torch.float32)
-        return float(len(tasks) * PER_TASK)
+        return float(sum(batch.episodes.size for batch in made))
 
-    return run
+    return made, run
 
 
-def h5py_slices(path: Path, dataset: Any, windows: int) -> Callable[[], float]:
-    file = h5py.File(path, "r")
-    steps, generator = file["steps"], np.random.default_rng(0)
-    table = dataset.episodes
-
-    def run() -> float:
-        for i in generator.integers(len(table), size=windows):
-            first = int(generator.integers(HORIZON - K))
-            at, seen = int(table.start[i]) + first, int(table.obs_start[i]) + first
-            _ = steps["observations"][seen : seen + K]
-            _ = steps["actions"][at : at + K]
-            _ = steps["rewards"][at : at + K]
-        return float(windows)
-
-    return run
+def anonymous_mib(process: int) -> float:
+    """Memory that is no page of a file."""
+    lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("RssAnon"))
 
 
-def minari_sample(work: Path, dataset: Any, windows: int) -> Callable[[], float]:
-    import minari
-    from gymnasium import spaces
-    from minari.data_collector import EpisodeBuffer
+def through_a_loader(report: rounds.Report, path: Path, drawn: Drawn) -> None:
+    from mpdt.data.store.reader import open_dataset
 
-    os.environ["MINARI_DATASETS_PATH"] = str(work / "minari")
-    buffers = [
-        EpisodeBuffer(id=i, observations=np.array(e.observations), actions=np.array(e.actions),
-                      rewards=np.array(e.rewards), terminations=np.array(e.terminations),
-                      truncations=np.array(e.truncations), infos={})
-        for i, e in ((i, dataset.episode(i)) for i in range(100))
-    ]  # fmt: skip
-    shapes = dataset.observation_size, dataset.action_size
-    boxes = [spaces.Box(-np.inf, np.inf, (n,), np.float32) for n in shapes]
-    stored = minari.create_dataset_from_buffers(
-        "bench/windows-v0",
-        buffers,
-        observation_space=boxes[0],
-        action_space=boxes[1],
-        algorithm_name="x",
-        author="x",
-        author_email="x",
-        code_permalink="x",
-        description="x",
-    )
-    generator = np.random.default_rng(0)
+    dataset = open_dataset(path)
+    sampler, step = sampler_of(dataset, drawn), 0
+    made, run = loader(dataset, drawn)
 
-    def run() -> float:
-        for episode in stored.sample_episodes(windows):
-            first = int(generator.integers(HORIZON - K))
-            _ = episode.observations[first : first + K], episode.actions[first : first + K]
-        return float(windows)
+    def alone() -> float:
+        nonlocal step
+        for _ in range(10 * drawn.batches):
+            sampler.batch(step)
+            step += 1
+        return float(10 * drawn.batches * drawn.windows)
 
-    return run
+    ways = [rounds.Way("mpdt, DataLoader, 2 workers", "ours", run, 0),
+            rounds.Way("mpdt, no loader", "plain", alone, 0)]  # fmt: skip
+    report.compare(f"{drawn.windows} windows through a DataLoader", "windows/s", ways,
+                   rounds=min(3, report.rounds),
+                   note="a batch crosses a pipe as bytes; the loader pays where an update"
+                   " takes longer than a batch, and other cores are free")  # fmt: skip
+    workers = [anonymous_mib(process.pid) for process in made._iterator._workers]
+    report.fact("own memory of a worker", max(workers), "MiB",
+                note=f"torch and all; file of {dataset.num_bytes / 2**20:.0f} MiB")  # fmt: skip
 
 
-def torchrl_slices(dataset: Any) -> Callable[[], float]:
-    import torch
-    from tensordict import TensorDict
-    from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-    from torchrl.data.replay_buffers.samplers import SliceSampler
+def from_two_files(report: rounds.Report, work: Path, drawn: Drawn) -> None:
+    """Halves of the episodes in a file each, read as one, beside the file that has them all."""
+    import mpdt
 
-    steps, count = dataset.steps, len(dataset.steps.actions)
-    starts = dataset.episodes.start
-    rows = np.repeat(dataset.episodes.obs_start - starts, dataset.episodes.length)
-    data = TensorDict(
-        {"observation": torch.from_numpy(np.array(steps.observations[np.arange(count) + rows])),
-         "action": torch.from_numpy(np.array(steps.actions)),
-         "reward": torch.from_numpy(np.array(steps.rewards)),
-         "episode": torch.from_numpy(np.repeat(np.arange(len(starts)), dataset.episodes.length))},
-        batch_size=[count])  # fmt: skip
-    windows = PER_TASK * len(dataset.tasks.train_rows)
-    buffer = TensorDictReplayBuffer(
-        storage=LazyTensorStorage(count), batch_size=windows * K,
-        sampler=SliceSampler(slice_len=K, traj_key="episode", cache_values=True))  # fmt: skip
-    buffer.extend(data)
-
-    def run() -> float:
-        buffer.sample()
-        return float(windows)
-
-    return run
-
-
-def d3rlpy_slices(dataset: Any) -> Callable[[], float]:
-    import d3rlpy
-
-    episodes = [
-        d3rlpy.dataset.Episode(np.array(e.observations[:-1]), np.array(e.actions),
-                               np.array(e.rewards)[:, None], False)
-        for e in (dataset.episode(i) for i in range(200))
-    ]  # fmt: skip
-    buffer = d3rlpy.dataset.create_infinite_replay_buffer(episodes)
-    windows = PER_TASK * len(dataset.tasks.train_rows)
-
-    def run() -> float:
-        buffer.sample_trajectory_batch(windows, K)
-        return float(windows)
-
-    return run
-
-
-def peers(work: Path, dataset: Any) -> list[rounds.Way]:
-    """Those that are installed."""
-    found = []
-    with rounds.without_output():
-        if rounds.have("minari"):
-            run = minari_sample(work, dataset, 20)
-            found.append(rounds.Way("minari sample_episodes", "peer", run, 0))
-        if rounds.have("torchrl"):
-            found.append(rounds.Way("torchrl SliceSampler", "peer", torchrl_slices(dataset), 0))
-        if rounds.have("d3rlpy"):
-            found.append(rounds.Way("d3rlpy ReplayBuffer", "peer", d3rlpy_slices(dataset), 0))
-    return found
+    halves = [work / "half-a.h5", work / "half-b.h5"]
+    for first, path in zip((0, drawn.episodes // 2), halves, strict=True):
+        synthetic.write(path, drawn.family, drawn.episodes // 2, HORIZON, first)
+    ways = [rounds.Way("mpdt, two files as one", "ours",
+                       standardised(mpdt.open(halves), drawn), 0),
+            rounds.Way("mpdt, one file", "plain",
+                       standardised(mpdt.open(work / f"{drawn.family}.h5"), drawn), 0)]  # fmt: skip
+    report.compare(f"{drawn.windows} windows of two files", "windows/s", ways,
+                   [rounds.Target("mpdt, one file", 0.8)])  # fmt: skip
 
 
 def measure(report: rounds.Report) -> None:
+    import torch
+
     from mpdt.data.store.reader import open_dataset
 
+    torch.set_num_threads(1)
     work = Path(tempfile.mkdtemp(prefix="mpdt-bench-", dir=rounds.scratch()))
     try:
-        for family, per_task, batches in (("ml10", 60, 40), ("ml45", 20, 10)):
-            path = work / f"{family}.h5"
-            dataset = synthetic.write(path, family, per_task, HORIZON)
-            loop = "loop as in Prompt-DT"
+        for drawn in CASES:
+            path = work / f"{drawn.family}.h5"
+            dataset = synthetic.write(path, drawn.family, drawn.episodes, HORIZON)
             ways = [
-                rounds.Way("mpdt, mapped file", "ours", standardised(dataset, batches), 0),
+                rounds.Way("mpdt, mapped file", "ours", standardised(dataset, drawn), 0),
                 rounds.Way("the same from RAM", "limit",
-                           standardised(open_dataset(path, preload=True), batches), 0),
-                rounds.Way("bare rows, packed, RAM", "limit", floor(dataset, batches), 0),
-                rounds.Way(loop, "peer", prompt_dt_loop(dataset), 0),
+                           standardised(open_dataset(path, preload=True), drawn), 0),
+                rounds.Way("bare rows, packed, RAM", "limit", floor(dataset, drawn), 0),
+                rounds.Way(LOOP, "peer", prompt_dt_loop(dataset, drawn), 0),
                 rounds.Way("h5py slices", "peer", h5py_slices(path, dataset, 200), 0),
-                *peers(work / family, dataset),
+                *peers(work / drawn.family, dataset, drawn.windows),
             ]  # fmt: skip
-            tasks = len(dataset.tasks.train_rows)
-            targets = [rounds.Target("the same from RAM", 0.8), rounds.Target(loop, 50.0)]
-            report.compare(f"{tasks} tasks x {PER_TASK} windows", "windows/s", ways, targets)
+            least = {"the same from RAM": 0.9, LOOP: 50.0, SLICES: 10.0}
+            targets = [rounds.Target(way.name, least[way.name])
+                       for way in ways if way.name in least]  # fmt: skip
+            report.compare(f"{drawn.windows} windows of {drawn.tasks} tasks", "windows/s", ways,
+                           targets)  # fmt: skip
+        from_two_files(report, work, CASES[0])
+        through_a_loader(report, work / f"{CASES[0].family}.h5", CASES[0])
     finally:
         shutil.rmtree(work)
 

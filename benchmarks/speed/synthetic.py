@@ -77,14 +77,18 @@ def header(family: Family) -> FileHeader:
     )  # fmt: skip
 
 
-def write(path: Path, family_name: str, per_task: int, horizon: int) -> Dataset:
-    """A whole file: `per_task` expert episodes of every task, slices and statistics."""
+def write(path: Path, family_name: str, per_task: int, horizon: int, first: int = 0) -> Dataset:
+    """A whole file: `per_task` expert episodes of every task, slices and statistics.
+
+    Args:
+        first: number of each task's first episode; files of other numbers can be merged.
+    """
     family = get_family(family_name)
     numbers = Numbers(family, horizon)
 
     def episodes() -> Iterator[Episode]:
         for task in family.tasks:
-            for row in range(per_task):
+            for row in range(first, first + per_task):
                 key = (family.id, task.index, EXPERT, row // 50, row % 50)
                 yield numbers.episode(task.index, task.index * per_task + row, key)
 
