@@ -59,11 +59,11 @@ class Spans:
 
     def _rows(self, spans: NDArray[Any]) -> NDArray[Any]:
         shape = (*spans.shape, len(self._offsets), *self._values.shape[1:])
-        return spans.view(self._values.dtype).reshape(shape)
+        return np.asarray(spans.view(self._values.dtype).reshape(shape))
 
     def row(self, at: Ids) -> NDArray[Any]:
         """A copy of single rows."""
-        return self._values.take(at, axis=0)
+        return np.asarray(self._values.take(at, axis=0))
 
 
 def _view(values: NDArray[Any], count: int) -> NDArray[Any]:

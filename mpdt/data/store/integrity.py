@@ -11,6 +11,9 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.layout import NAME_LENGTH, ROLE_CODES
 from mpdt.errors import FormatError
 
+_AT_ONCE = 1 << 16
+"""Rows of a table that are looked at together: what is computed of them stays in the cache."""
+
 
 def check_tables(dataset: Dataset) -> None:
     """Row numbers point into their tables, numbers are some, and episodes tile the step arrays.
@@ -116,21 +119,25 @@ def _numbers(dataset: Dataset, where: str) -> None:
 
 
 def _tiles(columns: Any, num_steps: int, num_observations: int, name: str, where: str) -> None:
-    length = columns.length.astype(np.int64)
-    if (length < 1).any():
+    if len(columns.length) and int(columns.length.min()) < 1:
         raise FormatError(f"{name}/length has episodes without a step", where=where)
-    start = np.cumsum(length) - length
-    for column, wanted in (("start", start), ("obs_start", start + np.arange(len(length)))):
-        wrong = np.flatnonzero(getattr(columns, column) != wanted)
-        if len(wrong):
-            i = int(wrong[0])
-            raise FormatError(f"{name}/{column} leaves a gap or overlaps at episode {i}",
-                              where=where, expected=str(wanted[i]),
-                              found=str(getattr(columns, column)[i]))  # fmt: skip
-    for found, wanted_rows, array in (
-        (num_steps, int(length.sum()), "actions"),
-        (num_observations, int(length.sum()) + len(length), "observations"),
-    ):
-        if found != wanted_rows:
+    total, count = 0, len(columns.length)
+    for first in range(0, count, _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        ends = np.cumsum(columns.length[some], dtype=np.int64)
+        start = ends - columns.length[some] + total
+        obs_start = start + np.arange(first, first + len(start))
+        for column, wanted in (("start", start), ("obs_start", obs_start)):
+            found = getattr(columns, column)[some]
+            if not np.array_equal(found, wanted):
+                i = int(np.flatnonzero(found != wanted)[0])
+                raise FormatError(f"{name}/{column} leaves a gap or overlaps at episode"
+                                  f" {first + i}", where=where, expected=str(wanted[i]),
+                                  found=str(found[i]))  # fmt: skip
+        total += int(ends[-1])
+    for rows, wanted_rows, array in (
+        (num_steps, total, "actions"), (num_observations, total + count, "observations"),
+    ):  # fmt: skip
+        if rows != wanted_rows:
             raise FormatError(f"{name} does not cover the {array}", where=where,
-                              expected=f"{wanted_rows} rows", found=f"{found}")  # fmt: skip
+                              expected=f"{wanted_rows} rows", found=f"{rows}")  # fmt: skip

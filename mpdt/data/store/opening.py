@@ -100,11 +100,12 @@ class Opened:
 
 @contextmanager
 def opened(
-    path: Path, unfinished: bool = False, source: Source | None = None
-) -> Iterator[Opened]:  # fmt: skip
+    path: Path, unfinished: bool = False, source: Source | None = None, in_memory: bool = False
+) -> Iterator[Opened]:
     """A complete mpdt/1 file that holds nothing but what the format knows, inside itself.
 
     Args:
+        in_memory: read large tables instead of mapping them.
         source: what was opened under that path before, to be read instead of what is there now.
     Raises: as `open_dataset`; FormatError also for whatever cannot be read inside the context.
     """
@@ -112,6 +113,8 @@ def opened(
         tree = Tree(file, str(path))
         _check_header(file, path, unfinished)
         tree.check(stream, os.fstat(stream.fileno()).st_size)
+        if not in_memory:
+            tree.map_large(stream)
         yield Opened(tree, stream)
 
 

@@ -1,4 +1,4 @@
-"""Open a file: check it, copy the small tables, map the step arrays, close it.
+"""Open a file: check it, copy the small tables, map the step arrays and large tables, close it.
 
 No HDF5 object outlives `open_dataset`, so the result survives fork, and a writer may replace
 the path meanwhile.
@@ -132,7 +132,7 @@ def read_file(
         checked: False for `verify`, which looks at rows, ids and hashes itself: names, types
             and numbers of axes are as the format says, and nothing else is known.
     """
-    with opened(path, unfinished) as file:
+    with opened(path, unfinished, in_memory=preload) as file:
         dataset = _read(file, path, _Arrays(file.stream, preload), checked)
         if checked and not unfinished:  # last: what is wrong can be said more clearly before
             check_seal(file.tree, path)

@@ -25,15 +25,22 @@ from mpdt.errors import FormatError
 _LINKS = {h5l.TYPE_SOFT: "SoftLink", h5l.TYPE_EXTERNAL: "ExternalLink"}
 _TEXT_BYTES = 16
 """A text in an array is its length, and where in the file it is."""
+MAPPED_BYTES = 1 << 20
+"""Numbers of a table of that size or larger are a map of the file; smaller ones are read faster."""
 _NUMBERS = (h5t.INTEGER, h5t.FLOAT, h5t.ENUM)  # a bool is an enum of two numbers
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Array:
-    """One dataset of the file. `offset` is None where nothing is stored, or not in one piece."""
+    """One dataset of the file. `offset` is None where nothing is stored, or not in one piece.
+
+    Args:
+        stream: the bytes of the file, once it is known that the array lies in them.
+    """
 
     path: str
     id: h5d.DatasetID = field(repr=False)
+    stream: BinaryIO | None = field(default=None, repr=False)
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
@@ -58,9 +65,16 @@ class Array:
 
     @cached_property
     def values(self) -> Any:
-        """All of it in memory, read once; text as bytes objects."""
+        """All of it, read once or mapped; text as bytes objects.
+
+        A map is private: whoever writes to it changes a copy of that page.
+        """
         if self.is_text or self.dtype.kind not in "iufb":
             return h5py.Dataset(self.id)[()]
+        if self.stream is not None and self.nbytes >= MAPPED_BYTES:
+            at = self.offset
+            if at is not None and at % self.dtype.itemsize == 0:
+                return np.asarray(np.memmap(self.stream, self.dtype, "c", at, self.shape))
         values = np.empty(self.shape, self.dtype)
         self.id.read(h5s.ALL, h5s.ALL, values)
         return values
@@ -228,6 +242,11 @@ class Tree:
             raise FormatError("its arrays are larger than the file", where=self.where,
                               expected=f"at most {size_bytes:,} bytes", found=f"{used:,}",
                               hint=layout.FOREIGN_HINT)  # fmt: skip
+
+    def map_large(self, stream: BinaryIO) -> None:
+        """From now on values of large tables are maps of `stream`; only after `check`."""
+        for array in self.arrays.values():
+            array.stream = stream
 
     def _check_array(self, array: Array, stream: BinaryIO, size_bytes: int) -> int:
         """Bytes that it takes. Raises: FormatError."""
