@@ -59,7 +59,7 @@ def collect(target: Path, episodes: int, packs: bool) -> None:
     import msgspec
 
     from mpdt.data.collect.job import make_job
-    from mpdt.data.collect.pack import pack
+    from mpdt.data.collect.pack import header_of, pack
     from mpdt.data.collect.parts import PartsFolder
     from mpdt.data.collect.runner import BlockRunner
     from mpdt.data.spec.catalog import load_catalog
@@ -73,7 +73,7 @@ def collect(target: Path, episodes: int, packs: bool) -> None:
     runner = BlockRunner(job, folder)
     reports = [runner(block) for block in job.plan.of_kind("episodes")]
     if packs:
-        pack(job.plan, folder, reports, job.policies, {})
+        pack(job.plan, folder, reports, header_of(job), {})
 
 
 def measured(*words: str) -> float:

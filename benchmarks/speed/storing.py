@@ -18,6 +18,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,15 +31,16 @@ OPEN_MS = 30.0
 
 
 def packing(work: Path, report: rounds.Report) -> Path:
-    from mpdt.data.collect.pack import pack
+    from mpdt.data.collect.job import make_job
+    from mpdt.data.collect.pack import header_of, pack
     from mpdt.data.collect.parts import PartsFolder
-    from mpdt.data.collect.plan import make_plan
     from mpdt.data.collect.runner import BlockReport
     from mpdt.data.spec.catalog import load_catalog
     from mpdt.data.spec.entry import EpisodeCounts
 
     spec = load_catalog().get("ml10")
-    plan = make_plan(msgspec.structs.replace(spec, episodes=EpisodeCounts(expert=150), tta={}))
+    job = make_job(msgspec.structs.replace(spec, episodes=EpisodeCounts(expert=150), tta={}))
+    plan = job.plan
     blocks = plan.of_kind("episodes")
     folder = PartsFolder(work / "packed.h5")
     (folder.path / "blocks").mkdir(parents=True)
@@ -50,10 +52,10 @@ def packing(work: Path, report: rounds.Report) -> Path:
         episodes += made
         steps = sum(episode.length for episode in made)
         reports.append(BlockReport(block, steps, np.array([e.episode_return for e in made])))
-    policies = synthetic.policies(plan.family)
+    header = replace(header_of(job), policies=synthetic.policies(plan.family))
 
     def ours() -> None:
-        pack(plan, folder, reports, policies, {})
+        pack(plan, folder, reports, header, {})
 
     ours()
     size = folder.target.stat().st_size

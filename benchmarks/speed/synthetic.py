@@ -20,6 +20,7 @@ from mpdt.data.spec.tasks import Family, get_family
 from mpdt.data.store import columns, layout
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash
+from mpdt.data.store.digests import Labels, array_digests
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.seal import seal
 from mpdt.data.store.sources import EpisodeSource, FileHeader
@@ -95,6 +96,52 @@ def write(path: Path, family_name: str, per_task: int, horizon: int, first: int 
     count = per_task * len(family.tasks)
     source = EpisodeSource(episodes(), count, count * horizon)
     return write_file(path, header(family), source, None, standard_additions)
+
+
+_ROWS = 1 << 18  # written together
+
+
+def grown(path: Path, model: Path, per_task: int) -> Dataset:
+    """As `hollow`, but with numbers in its steps and their digests: nothing in it is wrong.
+
+    Quicker than `write` by what Episode objects take, so that a million of them can be made.
+    """
+    small = open_dataset(model)
+    row = 4 * (small.observation_size + small.action_size + 1) + 2
+    size = row * int(small.episodes.length[0]) * len(small.tasks) * per_task
+    made = hollow(path, model, size)
+    generator = np.random.default_rng(0)
+    with h5py.File(path, "r+") as file:
+        for rows in (file[f"steps/{name}"] for name in ("observations", "actions", "rewards")):
+            for first in range(0, len(rows), _ROWS):
+                shape = (min(_ROWS, len(rows) - first), *rows.shape[1:])
+                rows[first : first + _ROWS] = 2 * generator.random(shape, np.float32) - 1
+        lengths = made.episodes.length
+        file["steps/truncations"][np.cumsum(lengths) - 1] = True
+        starts, rewards = np.cumsum(lengths) - lengths, file["steps/rewards"][:]
+        file["episodes/return"][:] = np.add.reduceat(rewards.astype(np.float64), starts)
+        file["episodes/seed_key"][:] = _seed_keys(made)
+        seal(file)
+    made = open_dataset(path)
+    labels, steps = Labels(made), made.steps
+    arrays = [(column.path, np.asarray(getattr(steps, column.path))) for column in layout.STEPS
+              if getattr(steps, column.path) is not None]  # fmt: skip
+    every = [labels.episode(i) for i in range(made.num_episodes)]
+    digests = np.frombuffer(array_digests(arrays, lengths.tolist(), every), np.uint8)
+    with h5py.File(path, "r+") as file:
+        file["episodes/digest"][:] = digests.reshape(-1, 32)
+        file.attrs["content_hash"] = content_hash(made.content_header(), digests.reshape(-1, 32))
+        seal(file)
+    return open_dataset(path)
+
+
+def _seed_keys(made: Dataset) -> Any:
+    """(E, 5), as collecting gives them: family, task, quality, block, row."""
+    family = get_family(made.family)
+    task, ids = made.episodes.task, np.arange(made.num_episodes)
+    number = ids - np.searchsorted(task, task)  # within its task
+    return np.stack([np.full(len(ids), family.id), np.array(made.tasks.indices)[task],
+                     np.full(len(ids), EXPERT), number // 50, number % 50], axis=1)  # fmt: skip
 
 
 def hollow(path: Path, model: Path, num_bytes: int) -> Dataset:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, SupportsIndex
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mpdt.data.episode import QUALITY_CODES, Episode, PolicyInfo
 from mpdt.data.spec.family import Family
@@ -201,23 +202,27 @@ class Dataset:
             slice: name of a stored slice.
         Raises: UsageError naming the nearest known task, quality or slice.
         """
-        ids = np.arange(len(self.episodes), dtype=np.int64)
+        fits = np.ones(len(self.episodes), np.bool_)
         if slice is not None:
             if slice not in self.slices:
                 raise unknown_name("slice", slice, self.slices, where=str(self.path))
-            ids = self.slices[slice]
+            fits[:] = False
+            fits[self.slices[slice]] = True
         if task is not None:
-            rows = [self.task_row(one) for one in _several(task)]
-            ids = ids[np.isin(self.episodes.task[ids], rows)]
+            fits &= _is_one_of(self.episodes.task, [self.task_row(one) for one in _several(task)])
         if quality is not None:
             names = [quality] if isinstance(quality, str) else list(quality)
             known = QUALITY_CODES | {"unknown": -1}
             for name in names:
                 if name not in known:
                     raise unknown_name("quality", name, known, where=str(self.path))
-            codes = [known[name] for name in names]
-            ids = ids[np.isin(self.episodes.quality[ids], codes)]
-        return ids
+            fits &= _is_one_of(self.episodes.quality, [known[name] for name in names])
+        return np.flatnonzero(fits)
+
+
+def _is_one_of(column: NDArray[Any], numbers: Sequence[int]) -> NDArray[np.bool_]:
+    """One pass for one number, which is what every task of a training asks for."""
+    return column == numbers[0] if len(numbers) == 1 else np.isin(column, numbers)
 
 
 def _several(task: str | SupportsIndex | Iterable[Any]) -> list[Any]:
