@@ -28,6 +28,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
@@ -209,7 +210,9 @@ def read_apart(command: str) -> str:
             outcome = f"MEMORY {grown / 1e6:.0f} MB" if grown > MOST_BYTES else outcome
             outcome = "HANG" if time.process_time() - began > HANG_S else outcome
         except BaseException as error:  # noqa: BLE001  exactly what must not happen
-            outcome = f"TRACEBACK {type(error).__name__}: {str(error)[:100]}"
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            at = f"{Path(place.filename).name}:{place.lineno}"
+            outcome = f"TRACEBACK {type(error).__name__}: {str(error)[:100]} ({at})"
         os.write(writing, outcome.encode(errors="replace"))
         os._exit(0)
     os.close(writing)

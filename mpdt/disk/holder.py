@@ -82,7 +82,8 @@ class Holder:
             return False
         except PermissionError:
             pass  # another user's
-        return self.start == _start_of(self.pid)
+        start = _start_of(self.pid)
+        return start == self.start or "" in (start, self.start)
 
 
 def read_holder(handle: int) -> Holder | None:
@@ -119,4 +120,5 @@ def _start_of(pid: int) -> str:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return ""
-    return text.rpartition(")")[2].split()[19]
+    words = text.rpartition(")")[2].split()  # none while the process goes
+    return words[19] if len(words) > 19 else ""

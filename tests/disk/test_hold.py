@@ -211,7 +211,7 @@ def test_what_is_not_ours_is_not_taken_for_a_lock(tmp_path, kind):
     )
 
 
-def test_a_holder_is_read_as_it_was_written():
+def test_a_holder_is_read_as_it_was_written(monkeypatch):
     me = Holder.me()
     assert Holder.of(me.encoded()) == me
     said = json.loads(me.encoded())
@@ -225,6 +225,9 @@ def test_a_holder_is_read_as_it_was_written():
     assert me.may_live
     assert not Holder.of(json.dumps(said | {"start": "1"}).encode()).may_live, "the id came again"
     assert Holder.of(json.dumps(said | {"host": "far", "start": "1"}).encode()).may_live
+    assert Holder.of(json.dumps(said | {"start": ""}).encode()).may_live, "it could not be told"
+    monkeypatch.setattr(Path, "read_text", lambda self, **_: "")
+    assert me.may_live and Holder.of(json.dumps(said | {"start": "1"}).encode()).may_live
 
 
 def test_only_program_and_verb_are_told(monkeypatch):
