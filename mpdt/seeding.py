@@ -27,7 +27,7 @@ UNKNOWN_SEED_KEY = (4294967295,) * 5
 HISTORY_STRIDE = 65536
 """In `history` the block number of a seed key is rung * HISTORY_STRIDE + block (rule D1)."""
 
-PHASES = ("teacher", "student", "statistics", "adapt", "mixing", "validation")
+PHASES = ("teacher", "student", "statistics", "adapt", "mixing", "validation", "trials")
 """Of a run, each with random numbers of its own; append only."""
 
 
@@ -57,6 +57,7 @@ class Quality(IntEnum):
     GOALS = 11
     REFERENCE_CONSTANT = 12
     POLICY = 13
+    TRIAL = 14
 
 
 @dataclass(frozen=True)

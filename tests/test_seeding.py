@@ -74,6 +74,7 @@ def test_stored_codes_never_change() -> None:
         "GOALS": 11,
         "REFERENCE_CONSTANT": 12,
         "POLICY": 13,
+        "TRIAL": 14,
     }
     assert [int(stream) for stream in Stream] == [0, 1, 2, 3]
 
@@ -90,6 +91,7 @@ def test_streams_of_training_keep_their_numbers() -> None:
     assert drawn.tolist() == [411, 814, 767, 885]
     assert [phase_seed(5, phase) for phase in PHASES] == [
         803261128, 3767054407, 3210010690, 2928346150, 3860361780, 4170728348,
+        456984185,
     ]  # fmt: skip
 
 

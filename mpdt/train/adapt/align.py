@@ -44,18 +44,24 @@ from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start, TrainedPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import generator_at
 from mpdt.train.adapt.statistics import LayerStatistics, moments
+from mpdt.train.adapt.trials.settings import TrialSettings
 from mpdt.train.fit.reward import RewardSettings
 
 NOT_ADAPTED: Start = "none"
 INFERRED: tuple[Start, ...] = ("infer", "infer_aligned")
+TRIALS: Literal["trials"] = "trials"
+Way = Literal[Start, "trials"]
+"""What can be done for an unseen task: tune or infer a prompt from a start, or let it try."""
 
 
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Test-time adaptation. Choose these on held-out training tasks, never on test returns."""
 
-    starts: tuple[Start, ...] = ("cross",)
+    starts: tuple[Way, ...] = ("cross",)
     """Starts to adapt from and report; P_c o mean P_k without adaptation is always reported.
-    `infer` and `infer_aligned` read the rewards of X."""
+    `infer` and `infer_aligned` read the rewards of X; `trials` acts in the simulator before it is
+    judged."""
+    trials: TrialSettings = TrialSettings()
     infer: RewardSettings = RewardSettings()
     set: str = "default"
     """Name of the TTA set."""
@@ -82,17 +88,24 @@ class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     @property
     def needs_set(self) -> bool:
-        return any(start != NOT_ADAPTED for start in self.starts)
+        return self.infers or any(start not in (NOT_ADAPTED, TRIALS) for start in self.starts)
 
     @property
     def aligns(self) -> bool:
         """Whether any start is tuned, and so compared with layer statistics."""
-        return any(start not in UNTUNED for start in self.starts)
+        return any(start not in (*UNTUNED, TRIALS) for start in self.starts)
 
     @property
     def infers(self) -> bool:
         """Whether any start reads the rewards of X to find out the task."""
-        return any(start in INFERRED for start in self.starts)
+        return any(start in INFERRED for start in self.starts) or (
+            self.tries and "with_x" in self.trials.rows
+        )
+
+    @property
+    def tries(self) -> bool:
+        """Whether the tasks get own episodes before they are judged."""
+        return TRIALS in self.starts
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import msgspec
@@ -14,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mpdt.data.episode import Episode
 from mpdt.data.slices.sampler import SamplerSettings, WindowSampler
 from mpdt.errors import UsageError
 from mpdt.model.demonstrations import DemonstrationPrompts
@@ -24,6 +26,7 @@ from mpdt.seeding import phase_seed
 from mpdt.train.adapt.align import (
     INFERRED,
     NOT_ADAPTED,
+    TRIALS,
     AdaptationSet,
     AdaptSettings,
     adapt,
@@ -32,7 +35,11 @@ from mpdt.train.adapt.align import (
 from mpdt.train.adapt.few_shot import FewShotSettings, choose_steps, tune
 from mpdt.train.adapt.infer import Explanation, explain
 from mpdt.train.adapt.statistics import LayerStatistics, StatisticsSettings, source_statistics
+from mpdt.train.adapt.trials.lived import stretches_of
+from mpdt.train.adapt.trials.protocol import Known, trial_results
+from mpdt.train.adapt.trials.settings import TrialRow
 from mpdt.train.evaluate.controller import PerTaskController, PromptController, TrainedActor
+from mpdt.train.evaluate.rollout import EvaluationSettings
 from mpdt.train.evaluate.score import Reads
 from mpdt.train.fit.data import Ids, sample_demonstrations
 from mpdt.train.fit.log import MetricsLog
@@ -49,6 +56,8 @@ class Candidate:
     Attributes:
         name: in one word; a start has its own.
         prompts: (n, l, s) the trained policy acts behind; None: a network for each task instead.
+        tried: own episodes that it read, task by task.
+        own_steps: their steps, of each task; empty where there are none.
     """
 
     name: str
@@ -56,6 +65,8 @@ class Candidate:
     controller: TrainedActor
     reads: Reads
     prompts: Tensor | None
+    tried: tuple[Episode, ...] = ()
+    own_steps: tuple[int, ...] = ()
 
 
 class Settings(Protocol):
@@ -73,6 +84,8 @@ class Settings(Protocol):
     def adapt(self) -> AdaptSettings: ...
     @property
     def few_shot(self) -> FewShotSettings: ...
+    @property
+    def evaluation(self) -> EvaluationSettings: ...
 
 
 OnStep = Callable[[str, int, int, str], None]
@@ -88,6 +101,7 @@ class Candidates:
 
     Args:
         log: where losses and inferred weights go; None = nowhere.
+        kept: folder in which trials are kept, to go on with after a stop; None = nowhere.
     Attributes:
         returns: what is asked of the test tasks, one row each.
     Raises: as `find_tta_set`, where the settings need that set.
@@ -95,8 +109,9 @@ class Candidates:
 
     def __init__(
         self, trained: Trained, settings: Settings, on_step: OnStep = _untold,
-        log: MetricsLog | None = None,
+        log: MetricsLog | None = None, kept: Path | None = None,
     ) -> None:  # fmt: skip
+        self._kept = kept
         self._trained, self._material, self._config = trained, trained.material, settings
         self._on_step, self._log = on_step, log
         self._rows = self._material.test_rows
@@ -118,7 +133,9 @@ class Candidates:
         settings = self._config.adapt
         source = self._statistics() if settings.aligns else None
         for start in dict.fromkeys(settings.starts):
-            if start != NOT_ADAPTED:
+            if start == TRIALS:
+                yield from self._tried()
+            elif start != NOT_ADAPTED:
                 reads: Reads = "X+rewards" if settings.returns == "decrement" else "X"
                 reads = "X+rewards" if start in INFERRED else reads
                 prompts = self._adapt(start, source)
@@ -176,6 +193,30 @@ class Candidates:
         elif start in UNTUNED and self._shows:
             start, weights = "infer", self._best_donors()  # demonstrations do not average
         return AdaptedPrompts(trained, start, len(self._rows), weights, self._seed)
+
+    def _tried(self) -> Iterator[Candidate]:
+        """After own episodes: a row for each K and each thing that may be read beside them."""
+        config, material = self._config, self._material
+        dataset, family = material.dataset, material.family
+        n = len(self._rows)
+
+        def known(row: TrialRow) -> Known:
+            if row != "with_x":
+                return Known([None] * n, [()] * n)
+            rewards = self._x.rewards()
+            box = (family.action_low, family.action_high)
+            x = [stretches_of(self._x.source, ids.tolist(), rewards, *box) for ids in self._x.ids]
+            return Known(list(self.inferred().split(1)), x)
+
+        adapt = config.adapt
+        facts = [dataset.content_hash, adapt.set, adapt.episodes, msgspec.to_builtins(adapt.infer)]
+        for one in trial_results(
+            self._trained, adapt.trials, self.returns, config.sampler.window,
+            config.evaluation.horizon or material.horizon, adapt.infer.tasks,
+            phase_seed(config.seed, "trials"), known, self._on_step, self._kept, facts,
+        ):  # fmt: skip
+            yield Candidate(one.name, one.label, one.controller, one.reads, None, one.episodes,
+                            one.own_steps)  # fmt: skip
 
     def _few_shot(self) -> Iterator[Candidate]:
         settings = self._config.few_shot

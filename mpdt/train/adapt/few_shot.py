@@ -166,7 +166,13 @@ def tune(
     done = []
     for i, row in enumerate(rows):
         one = torch.tensor([i])
-        own, own_prompts = copy.deepcopy(policy), prompts.select(one)
+        own, own_prompts = own_copy(policy), prompts.select(one)
         run(own, own_prompts, [row], returns.select(one))
         done.append((own, own_prompts.task_prompts().detach()))
     return done
+
+
+def own_copy(policy: PromptPolicy) -> PromptPolicy:
+    """A copy to be tuned; what is frozen is shared, and may be most of it."""
+    memo = {id(p): p for p in policy.parameters() if not p.requires_grad}
+    return copy.deepcopy(policy, memo)

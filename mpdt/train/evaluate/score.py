@@ -27,9 +27,10 @@ ZERO, RANDOM, CONSTANT, EXPERT = "zero action", "random", "best constant", "expe
 REFERENCES = (ZERO, RANDOM, CONSTANT, EXPERT)
 TRIVIAL = (ZERO, RANDOM)
 """Methods that any policy has to beat before it has learnt something."""
-Reads = Literal["nothing", "task id", "X", "X+rewards", "labelled steps", "demonstration"]
+Reads = Literal["nothing", "task id", "X", "X+rewards", "labelled steps", "demonstration",
+                "trials", "X+rewards, trials"]  # fmt: skip
 """What was read of a test task before its first step: which training task it is with another goal,
-the set X, its simulator's rewards, labelled steps, ..."""
+the set X, its simulator's rewards, labelled steps, own episodes with rewards and successes, ..."""
 
 
 class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -52,6 +53,8 @@ class Score(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Its interval lies above those of zero action and random; None = not compared."""
     reads: Reads | None = None
     """What was read of this task to make the policy; None for references and training tasks."""
+    own_steps: float | None = None
+    """Steps of own episodes that were read (of a mean: mean per task); None where none were."""
 
 
 def scores_of(
@@ -159,7 +162,7 @@ def encode_results(header: Mapping[str, Any], scores: Sequence[Score]) -> bytes:
     is absent."""
     rows = [
         {k: None if v != v else v for k, v in msgspec.structs.asdict(score).items()
-         if v is not None or k not in ("beats_trivial", "reads")}
+         if v is not None or k not in ("beats_trivial", "reads", "own_steps")}
         for score in scores
     ]  # fmt: skip
     content = sealed({**header, "scores": rows})

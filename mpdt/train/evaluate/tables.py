@@ -46,12 +46,15 @@ def build_tables(scores: Sequence[Score], prompts: bool = True) -> list[Table]:
         verdicts = tuple(_verdicts(chosen, methods, kind))
         tables.append(Table(title + note, ("task", *methods), rows, verdicts, int(has_mean)))
         told = any(score.reads for score in chosen)
+        tried = any(score.own_steps is not None for score in chosen)
         means = tuple(
-            _mean_row(method, at.get((MEAN, method)), has_success, told) for method in methods
+            _mean_row(method, at.get((MEAN, method)), has_success, told, tried)
+            for method in methods
         )
         columns = ["method", "mean return", "95 % interval", "normalised"]
         columns += ["success"] if has_success else []
         columns += ["reads"] if told else []
+        columns += ["own steps per task"] if tried else []
         tables.append(Table(f"{title}: mean over tasks", tuple(columns), means))
     return tables
 
@@ -106,7 +109,9 @@ def _cell(score: Score | None) -> str:
     return " ".join(parts)
 
 
-def _mean_row(method: str, score: Score | None, has_success: bool, told: bool) -> tuple[str, ...]:
+def _mean_row(
+    method: str, score: Score | None, has_success: bool, told: bool, tried: bool
+) -> tuple[str, ...]:
     if score is None or score.mean != score.mean:
         cells = [NOT_MEASURED, "-", "-", "-"]
     else:
@@ -115,4 +120,5 @@ def _mean_row(method: str, score: Score | None, has_success: bool, told: bool) -
         level = f"{score.normalised:.2f}" if known else "-"
         cells = [_number(score.mean), _interval(score), level, success]
     reads = [(score.reads if score else None) or "-"] if told else []
-    return (method, *cells[: 4 if has_success else 3], *reads)
+    steps = "-" if score is None or score.own_steps is None else f"{score.own_steps:,.0f}"
+    return (method, *cells[: 4 if has_success else 3], *reads, *([steps] if tried else []))

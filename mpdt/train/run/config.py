@@ -77,7 +77,12 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         if self.patience and self.validation is None:
             raise SpecError("patience with nothing to look at", where="patience",
                             hint="--validation SLICE, or leave it out")  # fmt: skip
-        shots = self.few_shot
+        shots, kind = self.few_shot, self.prompts.kind
+        if self.adapt.tries and kind not in ("decomposed", "shared"):
+            raise SpecError("trials need trained soft prompts, to act behind and to tune",
+                            where=f"prompts.kind {kind}", expected="decomposed or shared",
+                            found="trials among adapt.starts",
+                            hint="--adapt.starts none, or --method MPDT-ones")  # fmt: skip
         if not shots.qualities:
             return
         if self.prompts.kind == "none" and shots.tuned == "prompt":

@@ -10,6 +10,7 @@ runs/<name>/
   results.json, report.md
   policy/               the bundle: all that acting needs (mpdt/train/bundle)
   tracked.json          what trackers have of it; tensorboard/ and wandb/ are theirs (--log)
+  trials/               own episodes on unseen tasks and what was learnt from them, to go on with
   judged/HASH.json      results.json of earlier judgements of these weights, under other settings
 """
 
@@ -93,6 +94,10 @@ class RunFolder:
     @property
     def policy(self) -> Path:
         return self.path / "policy"
+
+    @property
+    def trials(self) -> Path:
+        return self.path / "trials"
 
     def judged(self, judging: str) -> Path:
         """Where results of that hash of judging go when others take their place."""
@@ -294,7 +299,7 @@ def _clear(folder: RunFolder) -> None:
 
 
 _OURS = re.compile(r"(config|results|spent|tracked)\.json|metrics\.jsonl|report\.md|policy|judged"
-                   r"|tensorboard|wandb|\.wandb-sending"
+                   r"|trials|tensorboard|wandb|\.wandb-sending"
                    r"|(teacher|weights|checkpoint-.*)\.safetensors")  # fmt: skip
 _ELSEWHERE = "choose another --name or --runs-dir"
 # What a kill in the first moment leaves in a new folder; the first two are of older versions.

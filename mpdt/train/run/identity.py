@@ -69,6 +69,8 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
     for name, plain in (("began_from", None), ("validation", None), ("patience", 0)):
         if settings[name] == plain:  # as in runs from before there was a choice
             del settings[name]
+    if "trials" not in settings["adapt"]["starts"]:  # nor what nobody asked for
+        del settings["adapt"]["trials"]
     return settings
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import msgspec
 
@@ -33,6 +34,7 @@ class Judge:
 
     Args:
         log: where adaptation writes; None = nowhere.
+        kept: folder in which trials are kept, to go on with after a stop; None = nowhere.
         keeper: keeps the episodes of the method's rows, each row in a file; None = nobody does.
     Attributes:
         acting: the prompts that `scores` has judged.
@@ -44,6 +46,7 @@ class Judge:
     progress: Progress
     log: MetricsLog | None = None
     keeper: Keeper | None = None
+    kept: Path | None = None
     acting: list[ActingPrompts] = field(default_factory=list)
     adaptation_s: float = 0.0
 
@@ -54,7 +57,7 @@ class Judge:
         """All rows of the final table. Raises: Stopped after a signal."""
         material, config = self.trained.material, self.config
         blocks = config.evaluation.blocks
-        candidates = Candidates(self.trained, config, self.progress.update, self.log)
+        candidates = Candidates(self.trained, config, self.progress.update, self.log, self.kept)
         scores, references = list[Score](), list[Score]()
         self.acting = [own_prompts(self.trained)]
         if "train" in blocks:
@@ -76,10 +79,14 @@ class Judge:
             scores += self.bench.references("test", material.test_rows)
         for candidate in self._adapted(candidates):
             self.acting.append(prompts_of(candidate, material.test_rows, candidates.returns))
-            scores += self._score(
-                "test", f"{config.method} {candidate.label}", candidate.name, material.test_rows,
-                candidate.controller, candidate.reads,
+            method = f"{config.method} {candidate.label}"
+            found = self._score(
+                "test", method, candidate.name, material.test_rows, candidate.controller,
+                candidate.reads,
             )  # fmt: skip
+            scores += _with_own_steps(found, candidate.own_steps)
+            if candidate.tried and self.keeper is not None:
+                self._keep_trials(candidate, method)
         return with_verdicts(scores)
 
     def _adapted(self, candidates: Candidates) -> Iterator[Candidate]:
@@ -92,6 +99,14 @@ class Judge:
             if candidate is None:
                 return
             yield candidate
+
+    def _keep_trials(self, candidate: Candidate, method: str) -> None:
+        """The own episodes that a row read, as data of their own."""
+        assert self.keeper is not None
+        row = self.keeper.row(self.bench, f"{candidate.name}-own", f"{method}, own episodes",
+                              candidate.tried[0].policy, candidate.reads)  # fmt: skip
+        row.kept.episodes += candidate.tried
+        row.write(self.trained.material.test_rows, self.config.adapt.trials.seed)
 
     def _score(
         self,
@@ -109,3 +124,12 @@ class Judge:
         scores = self.bench.score(block, method, rows, actor, reads, row.kept)
         row.write(rows)
         return scores
+
+
+def _with_own_steps(scores: list[Score], steps: Sequence[int]) -> list[Score]:
+    """Args: steps: of own episodes of each task; empty = none were asked for."""
+    if not steps:
+        return scores
+    told = [*map(float, steps), sum(steps) / len(steps)]
+    return [msgspec.structs.replace(score, own_steps=own)
+            for score, own in zip(scores, told, strict=True)]  # fmt: skip

@@ -105,17 +105,22 @@ class KeptRow:
         raise DataError("something else is there", where=str(self.path), found=found,
                         hint="choose another --keep, or move it away first")  # fmt: skip
 
-    def write(self, rows: Sequence[int]) -> None:
-        """The file of the episodes that were run. Raises: as `write_file`."""
+    def write(self, rows: Sequence[int], seed: int | None = None) -> None:
+        """The file of the episodes that were run.
+
+        Args:
+            seed: root of their seeds; None = evaluation's.
+        Raises: as `write_file`.
+        """
         episodes = sorted(self.kept.episodes, key=lambda e: (e.task, e.seed_key[4]))
         write_file(
-            self.path, self._header(rows),
+            self.path, self._header(rows, seed),
             EpisodeSource(episodes, len(episodes), sum(e.length for e in episodes)),
             finish=standard_additions,
         )  # fmt: skip
         self.say(f"kept {len(episodes):,} episodes: {self.path}")
 
-    def _header(self, rows: Sequence[int]) -> FileHeader:
+    def _header(self, rows: Sequence[int], seed: int | None) -> FileHeader:
         bench, tasks = self.bench, [self.origin.tasks[row] for row in sorted(rows)]
         levels = {}
         for task in tasks:
@@ -124,6 +129,7 @@ class KeptRow:
             levels[task.index] = level_on(task, float(np.mean(own))) if same else math.nan
         counts = [sum(e.task == task.index for e in self.kept.episodes) for task in tasks]
         return header_of_policy(
-            self.origin, self.acted, VERB, tasks, levels, seed=bench.settings.seed,
-            horizon=bench.horizon, episodes={NAME: max(counts)},
+            self.origin, self.acted, VERB, tasks, levels,
+            seed=bench.settings.seed if seed is None else seed, horizon=bench.horizon,
+            episodes={NAME: max(counts)},
         )  # fmt: skip

@@ -137,7 +137,8 @@ def _proving(prepared: Prepared, progress: Progress) -> Iterator[BackgroundProof
     config, material = prepared.config, prepared.material
     mixes = config.mixing.share > 0
     read = list(material.episode_ids.values())
-    if config.adapt.infers or config.statistics.source == "random" or mixes:
+    learns = config.adapt.infers or config.adapt.tries or mixes
+    if learns or config.statistics.source == "random":
         read.append(material.dataset.select(task=list(material.train_rows), quality="random"))
     if config.few_shot.qualities or config.few_shot.demonstration:
         read.append(material.dataset.select(task=list(material.test_rows)))
@@ -161,7 +162,7 @@ def _train_and_judge(trainer: Trainer, keeper: Keeper | None = None) -> dict[str
     if not trained.complete:
         progress.say(f"training ended by --time-limit-s: {_updates(trained)}")
     began_s = time.monotonic()
-    judge = Judge(trained, prepared.config, progress, folder.log, keeper)
+    judge = Judge(trained, prepared.config, progress, folder.log, keeper, folder.trials)
     scores = judge.scores()
     judging_s = time.monotonic() - began_s - judge.adaptation_s
     if trainer.proof is not None:

@@ -1,0 +1,170 @@
+"""Trials end to end, tiny: two tasks of cheetah_dir's shape in the simulator, 8 steps an episode."""
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from mpdt.data.store.reader import open_dataset
+from mpdt.data.verify.finding import Outcome
+from mpdt.data.verify.verify import CHECKS, verify
+from mpdt.data.spec.tasks import get_family
+from mpdt.errors import SpecError
+from mpdt.model.backbone import from_settings
+from mpdt.seeding import Quality, SeedKey
+from mpdt.train.adapt.candidates import Candidates
+from mpdt.train.adapt.trials import clone as cloning
+from mpdt.train.adapt.trials.live import trial_key
+from mpdt.train.evaluate.rollout import evaluate
+from mpdt.train.run.build import build
+from mpdt.train.run.config import from_plain, to_plain
+from mpdt.train.run.identity import plain_settings
+from mpdt.train.run.judge import Judge
+from mpdt.train.run.keep import Keeper
+from mpdt.train.run.methods import apply_method, merge
+from mpdt.train.run.prepare import prepare
+from mpdt.train.run.presets import smoke
+from mpdt.train.run.progress import Progress
+
+TINY = {
+    "world": {"members": 1, "hidden": 8, "episodes": 2, "pretraining": 3, "refitting": 2,
+              "refreshing": 1, "every": 4, "batch": 8, "echo": 10},
+    "planner": {"horizon": 4, "knot": 2, "samples": 6, "elites": 2, "echoes": 1},
+    "updates": 2, "opening": 4, "tail": 1,
+}  # fmt: skip
+
+
+def config_with(**trials):
+    plain = to_plain(apply_method(smoke(), "MPDT-ones"))
+    changes = {
+        "adapt": {"starts": ["trials"], "trials": merge(TINY, trials), "infer": {"steps": 2}},
+        "evaluation": {"horizon": 8, "blocks": ["test"], "episodes": 2, "constants": False},
+        "multitask": {"steps": 1},
+    }
+    return from_plain(merge(plain, changes))
+
+
+def trained_with(tiny_file, config):
+    prepared = prepare(config, str(tiny_file))
+    learner = build(prepared, from_settings(config.backbone))
+    return learner.trained(learner.asked)
+
+
+def rows(tiny_file, kept=None, stop_after=None, **trials):
+    """The candidates by name; `stop_after`: trials until a signal."""
+    config = config_with(**trials)
+    begun = []
+
+    def on_step(phase, done, total, text):
+        if phase.startswith("trials") and "learning" not in text:
+            if len(begun) == stop_after:
+                raise KeyboardInterrupt
+            begun.append((phase, done))
+
+    candidates = Candidates(trained_with(tiny_file, config), config, on_step, kept=kept)
+    return {one.name: one for one in candidates}, begun
+
+
+def test_three_trials_begin_as_ten_do_and_a_stopped_run_goes_on_where_it_was(tiny_file, tmp_path):
+    """K = 1 and 3 of one run; the same again, stopped before the third of the second task."""
+    whole, begun = rows(tiny_file, tmp_path / "a", episodes=(3, 1), rows=("alone",))
+    assert list(whole) == ["trials-alone-1", "trials-alone-3", "none"]
+    assert [done for _, done in begun] == [0, 1, 2] * 2
+    few, many = whole["trials-alone-1"], whole["trials-alone-3"]
+    assert (few.reads, few.own_steps, many.own_steps) == ("trials", (8, 8), (24, 24))
+    first = [many.tried[0], many.tried[3]]
+    assert all(map(same_episode, few.tried, first))
+    with pytest.raises(KeyboardInterrupt):
+        rows(tiny_file, tmp_path / "b", stop_after=5, episodes=(3,), rows=("alone",))
+    again, begun = rows(tiny_file, tmp_path / "b", episodes=(3,), rows=("alone",))
+    assert begun == [("trials alone backward", 2)]
+    assert all(map(same_episode, again["trials-alone-3"].tried, many.tried))
+    assert again["trials-alone-3"].controller.fingerprint == many.controller.fingerprint
+    alone, begun = rows(tiny_file, tmp_path / "b", episodes=(3,), rows=("alone",), seed=1)
+    assert len(begun) == 6, "other seeds are other trials"
+    assert not same_episode(alone["trials-alone-3"].tried[0], many.tried[0])
+
+
+def same_episode(one, other):
+    return one.seed_key == other.seed_key and np.array_equal(one.actions, other.actions)
+
+
+def test_only_the_row_with_x_reads_x(tiny_file, other_rewards_file):
+    """Two files that differ in what X was paid: the row without it is the same, byte for byte."""
+    found = [rows(file, episodes=(2,), rows=("alone", "with_x", "race"))[0]
+             for file in (tiny_file, other_rewards_file)]  # fmt: skip
+    for name, same in (("alone", True), ("race", True), ("with_x", False)):
+        one, other = (each[f"trials-{name}-2"] for each in found)
+        assert all(map(same_episode, one.tried, other.tried)) == same
+        assert one.reads == ("X+rewards, trials" if name == "with_x" else "trials")
+
+
+@pytest.mark.parametrize("name", ["ml10", "mt10", "cheetah_vel"])
+def test_a_trial_never_has_the_key_of_an_evaluation(name):
+    """Any seeds: other keys, other beginnings, and where goals are drawn by key other goals."""
+    family = get_family(name)
+    trials = {trial_key(seed, family, task.index, number)
+              for seed in range(3) for task in family.tasks for number in range(30)}  # fmt: skip
+    judged = {SeedKey(seed, family.id, task.index, Quality.EVALUATION, 0, e)
+              for seed in range(3) for task in family.tasks for e in range(100)}  # fmt: skip
+    assert not {key.spawn_key for key in trials} & {key.spawn_key for key in judged}
+    some, others = (sorted(keys, key=repr)[:200] for keys in (trials, judged))
+    assert not {key.env_seed() for key in some} & {key.env_seed() for key in others}
+
+
+def test_evaluation_uses_none_of_the_keys_that_trials_used(tiny_file, monkeypatch):
+    """What the simulator is really reset with, in trials and in judging."""
+    from mpdt.data.sim.locomotion import LocomotionBatch
+
+    seen, reset = [], LocomotionBatch.reset
+    monkeypatch.setattr(LocomotionBatch, "reset", lambda env, keys, goals: (
+        seen.append([key.spawn_key for key in keys]), reset(env, keys, goals))[1])  # fmt: skip
+    config = config_with(episodes=(2,), rows=("alone",))
+    Judge(trained_with(tiny_file, config), config, Progress(quiet=True)).scores()
+    tried = {key for keys in seen for key in keys if key[2] == Quality.TRIAL}
+    judged = {key for keys in seen for key in keys} - tried
+    assert len(tried) == 2 * 2 and {key[2] for key in judged} == {Quality.EVALUATION}
+
+
+def test_kept_trials_are_data_from_which_they_are_counted_again(tiny_file, tmp_path):
+    """The file replays in the simulator; its steps are those that the table tells."""
+    config = config_with(episodes=(2,), rows=("alone",))
+    keeper = Keeper(tmp_path / "k.h5", "r", {"run": "0" * 64}, lambda text: None)
+    scores = Judge(trained_with(tiny_file, config), config, Progress(quiet=True),
+                   keeper=keeper).scores()  # fmt: skip
+    path = tmp_path / "k-trials-alone-2-own.h5"
+    assert verify(path, replay="all").count(Outcome.PASS) == len(CHECKS)
+    kept = open_dataset(path)
+    told = {s.task: s.own_steps for s in scores if s.method == "MPDT-ones 2 own episodes"}
+    for row, name in enumerate(kept.tasks.names):
+        own = kept.episodes.length[kept.episodes.task == row]
+        assert (len(own), own.sum()) == (2, told[name])
+    assert told["mean"] == 16
+    assert (tmp_path / "k-trials-alone-2.h5").exists()
+
+
+def test_settings_of_trials_count_only_where_trials_are_asked_for():
+    """Runs from before there were trials keep their identity."""
+    with_trials = config_with()
+    without = from_plain(merge(to_plain(with_trials), {"adapt": {"starts": ["infer"]}}))
+    assert "trials" not in plain_settings(without)["adapt"]
+    assert plain_settings(with_trials)["adapt"]["trials"]["opening"] == 4
+
+
+@pytest.mark.parametrize("method", ["Prompt-DT", "HDT", "MT-BC"])
+def test_a_policy_without_soft_prompts_is_refused(method):
+    with pytest.raises(SpecError, match="need trained soft prompts"):
+        from_plain(merge(to_plain(apply_method(smoke(), method)), {"adapt": {"starts": ["trials"]}}))
+
+
+@pytest.mark.parametrize(
+    ("trials", "where"),
+    [({"episodes": (-1,)}, "adapt.trials.episodes"), ({"episodes": ()}, "adapt.trials.episodes"),
+     ({"rows": ()}, "adapt.trials.rows"), ({"world": {"batch": 0}}, "adapt.trials.world.batch"),
+     ({"planner": {"spread": 0.0}}, "adapt.trials.planner.spread")],
+)  # fmt: skip
+def test_numbers_out_of_range_are_refused(trials, where):
+    with pytest.raises(SpecError, match=where):
+        config_with(**trials)
