@@ -49,6 +49,16 @@ from mpdt.train.fit.reward import RewardSettings
 
 NOT_ADAPTED: Start = "none"
 INFERRED: tuple[Start, ...] = ("infer", "infer_aligned")
+LABELS: dict[Start, str] = {
+    "cross": "from cross, adapted",
+    "cross_mean": "from cross_mean, adapted",
+    "cross_one": "from cross_one, adapted",
+    "cross_random": "from cross_random, adapted",
+    "infer": "infer",
+    "infer_aligned": "infer, adapted",
+    "none": "P_c o mean P_k, not adapted",
+}
+"""What the rows of each start are called."""
 TRIALS: Literal["trials"] = "trials"
 Way = Literal[Start, "trials"]
 """What can be done for an unseen task: tune or infer a prompt from a start, or let it try."""

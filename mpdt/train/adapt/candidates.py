@@ -25,6 +25,7 @@ from mpdt.model.returns import ReturnTable
 from mpdt.seeding import phase_seed
 from mpdt.train.adapt.align import (
     INFERRED,
+    LABELS,
     NOT_ADAPTED,
     TRIALS,
     AdaptationSet,
@@ -35,9 +36,7 @@ from mpdt.train.adapt.align import (
 from mpdt.train.adapt.few_shot import FewShotSettings, choose_steps, tune
 from mpdt.train.adapt.infer import Explanation, explain
 from mpdt.train.adapt.statistics import LayerStatistics, StatisticsSettings, source_statistics
-from mpdt.train.adapt.trials.lived import stretches_of
-from mpdt.train.adapt.trials.protocol import Known, trial_results
-from mpdt.train.adapt.trials.settings import TrialRow
+from mpdt.train.adapt.trials.protocol import trial_results
 from mpdt.train.evaluate.controller import PerTaskController, PromptController, TrainedActor
 from mpdt.train.evaluate.rollout import EvaluationSettings
 from mpdt.train.evaluate.score import Reads
@@ -196,24 +195,12 @@ class Candidates:
 
     def _tried(self) -> Iterator[Candidate]:
         """After own episodes: a row for each K and each thing that may be read beside them."""
-        config, material = self._config, self._material
-        dataset, family = material.dataset, material.family
-        n = len(self._rows)
-
-        def known(row: TrialRow) -> Known:
-            if row != "with_x":
-                return Known([None] * n, [()] * n)
-            rewards = self._x.rewards()
-            box = (family.action_low, family.action_high)
-            x = [stretches_of(self._x.source, ids.tolist(), rewards, *box) for ids in self._x.ids]
-            return Known(list(self.inferred().split(1)), x)
-
-        adapt = config.adapt
-        facts = [dataset.content_hash, adapt.set, adapt.episodes, msgspec.to_builtins(adapt.infer)]
+        config = self._config
+        x = self._x if config.adapt.needs_set else None
         for one in trial_results(
-            self._trained, adapt.trials, self.returns, config.sampler.window,
-            config.evaluation.horizon or material.horizon, adapt.infer.tasks,
-            phase_seed(config.seed, "trials"), known, self._on_step, self._kept, facts,
+            self._trained, config.adapt, self.returns, config.sampler.window,
+            config.evaluation.horizon or self._material.horizon, config.seed, x, self.inferred,
+            self._on_step, self._kept,
         ):  # fmt: skip
             yield Candidate(one.name, one.label, one.controller, one.reads, None, one.episodes,
                             one.own_steps)  # fmt: skip
@@ -340,14 +327,3 @@ class Candidates:
         weights = torch.zeros(len(self._rows), len(parts))
         weights[:, int(losses.argmin())] = 1
         return weights
-
-
-LABELS: dict[Start, str] = {
-    "cross": "from cross, adapted",
-    "cross_mean": "from cross_mean, adapted",
-    "cross_one": "from cross_one, adapted",
-    "cross_random": "from cross_random, adapted",
-    "infer": "infer",
-    "infer_aligned": "infer, adapted",
-    "none": "P_c o mean P_k, not adapted",
-}

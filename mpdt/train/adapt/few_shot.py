@@ -68,7 +68,7 @@ class FewShotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
 
 @dataclass(frozen=True)
-class _TrimmedEpisodes:
+class TrimmedEpisodes:
     start: NDArray[Any]
     obs_start: NDArray[Any]
     length: NDArray[np.int64]
@@ -83,7 +83,7 @@ class LabelledSteps:
     """
 
     steps: RewardColumns
-    episodes: _TrimmedEpisodes
+    episodes: TrimmedEpisodes
     ids: dict[int, NDArray[np.int64]]
 
     def num_steps(self, row: int) -> int:
@@ -118,7 +118,7 @@ def choose_steps(
                     found=f"{wanted} short", hint="lower --few-shot.steps, or take the whole file",
                 )  # fmt: skip
         ids[row] = np.array(sorted(chosen), np.int64)
-    trimmed = _TrimmedEpisodes(dataset.episodes.start, dataset.episodes.obs_start, length)
+    trimmed = TrimmedEpisodes(dataset.episodes.start, dataset.episodes.obs_start, length)
     return LabelledSteps(cast(RewardColumns, dataset.steps), trimmed, ids)
 
 

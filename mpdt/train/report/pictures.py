@@ -26,7 +26,7 @@ from mpdt.train.study.summary import CellResult, Row, best_of_each, summarise, t
 WIDE, LETTERS = 720, 48  # names are written out: nothing is told by pointing at a linked picture
 COLOURS = {
     "nothing": "c3", "task id": "c6", "X": "c0", "X+rewards": "c2", "labelled steps": "c1",
-    "demonstration": "c4",
+    "demonstration": "c4", "trials": "c5", "X+rewards, trials": "c7",
 }  # fmt: skip
 """CSS key of what was read; references are grey."""
 

@@ -6,7 +6,7 @@ import json
 import sys
 from dataclasses import asdict, dataclass
 
-from mpdt.train.adapt.align import INFERRED, NOT_ADAPTED
+from mpdt.train.adapt.align import INFERRED, NOT_ADAPTED, TRIALS
 from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.methods import METHODS, apply_method
 from mpdt.train.run.presets import get_preset
@@ -71,6 +71,10 @@ def reads_of(config: TrainConfig) -> str:
     found = []
     for start in config.adapt.starts:
         if start == NOT_ADAPTED:
+            continue
+        if start == TRIALS:
+            rows = config.adapt.trials.rows
+            found += ["X+rewards, trials" if row == "with_x" else "trials" for row in rows]
             continue
         rewards = start in INFERRED or config.adapt.returns == "decrement"
         found.append("X+rewards" if rewards else "X")

@@ -4,6 +4,8 @@
     one-block     every method on every family but mt10, the language model cut to its first block;
                   three seeds for the main ones; on cheetah_vel one thing changed at a time as well
     first-pass    what was run before with four blocks, at four times the cost (0018)
+    trials        the weights of one-block's MPDT-ones again, after own episodes (0033); a copy of a
+                  run's folder under the cell's name saves training it anew
 
 Sizes were chosen by cost, not by returns (docs/decisions/0011).
 """
@@ -252,9 +254,28 @@ _FIFTY: tuple[Cell, ...] = (
       for data in ("ml45", "mt50") for method in ("MPDT-WP", "MPDT-WP-frozen")),
 )  # fmt: skip
 
+
+def _trials(data: str, row: str, counts: list[int], seed: int, trial_seed: int) -> Cell:
+    """One row of the protocol alone; fresh goals are judged 20 times a task."""
+    adapt = {"starts": ["trials"],
+             "trials": {"episodes": counts, "rows": [row], "seed": trial_seed}}  # fmt: skip
+    judged = {"evaluation": {"blocks": ["test"], "episodes": 20}}
+    size = {} if data == "cheetah_vel" else _LONG
+    return _one(data, "MPDT-ones", size, {"adapt": adapt}, judged, seed=seed,
+                label=f"ones-{row.replace('_', '-')}-t{trial_seed}")  # fmt: skip
+
+
+_TRIALS: tuple[Cell, ...] = (
+    *(_trials("ml10", row, [1, 3, 10], seed, trial_seed)
+      for trial_seed in (0, 1, 2) for row in ("with_x", "alone") for seed in (0, 1, 2)),
+    *(_trials("cheetah_vel", "alone", [1, 3, 10], seed, 0) for seed in (0, 1, 2)),
+    _trials("ml10", "race", [1, 3, 10], 0, 0),
+)  # fmt: skip
+
 STUDIES: Mapping[str, tuple[Cell, ...]] = {
     "one-block": _ONE_BLOCK,
     "fifty": _FIFTY,
+    "trials": _TRIALS,
     "first-pass": _FIRST_PASS,
 }
 

@@ -52,6 +52,8 @@ class Row:
     """Of the normalised returns of all tasks and seeds."""
     iqm_interval: tuple[float, float]
     success: float | None
+    own_steps: float | None = None
+    """Steps of own episodes per task; None where none were read."""
 
 
 def is_study(folder: Path) -> bool:
@@ -134,6 +136,7 @@ def _row(runs: Sequence[Sequence[Score]], method: str) -> Row:
         method=method, reads=overall[0].reads or "-", num_seeds=len(runs),
         mean=float(means.mean()), interval=interval, iqm=iqm(levels),
         iqm_interval=level_interval, success=float(np.mean(shares)) if shares else None,
+        own_steps=overall[0].own_steps,
     )  # fmt: skip
 
 
@@ -172,6 +175,8 @@ def _table(title: str, rows: Sequence[Row], told: bool, notes: tuple[str, ...]) 
     columns = ["method", "mean return", "95 % interval", "IQM normalised", "95 % interval "]
     columns += ["success"] if has_success else []
     columns += ["reads"] if told else []
+    tried = told and any(row.own_steps is not None for row in rows)
+    columns += ["own steps per task"] if tried else []
     cells = []
     for row in rows:
         line = [row.method, _number(row.mean, 1), _interval(row.interval, 1),
@@ -179,6 +184,8 @@ def _table(title: str, rows: Sequence[Row], told: bool, notes: tuple[str, ...]) 
         if has_success:
             line.append("-" if row.success is None else f"{row.success:.0%}")
         line += [row.reads] if told else []
+        if tried:
+            line.append("-" if row.own_steps is None else f"{row.own_steps:,.0f}")
         known = row.method in REFERENCES
         cells.append((*line, "-" if known else str(row.num_seeds)))
     return Table(title, (*columns, "seeds"), tuple(cells), notes)

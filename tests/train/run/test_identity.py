@@ -122,7 +122,7 @@ JUDGED = ("method", "adapt", "few_shot", "statistics", "evaluation")
     [
         k
         for k in SETTINGS
-        if k not in ("quality", "adapt.set", "inputs.tokens_per_step", "patience")
+        if k not in ("quality", "adapt.set", "adapt.trials", "inputs.tokens_per_step", "patience")
     ],
 )
 def test_every_setting_counts_in_its_part(material, key):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from mpdt.train.adapt.candidates import LABELS
+from mpdt.train.adapt.align import LABELS
 from mpdt.train.evaluate.score import MEAN, Score
 from mpdt.train.report.study_tables import report_tables
 from mpdt.train.study import claims

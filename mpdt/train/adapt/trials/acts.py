@@ -39,7 +39,8 @@ def _listening(
     def act(step: int, seen: Floats, paid: float | None, _: Record) -> NDArray[np.floating]:
         rewards = None if paid is None else np.full(n, paid, np.float32)
         answers: NDArray[np.floating] = controller.act(step, np.repeat(seen[None], n, 0), rewards)
-        return answers[row(step)]
+        action: NDArray[np.floating] = answers[row(step)]
+        return action
 
     return act
 

@@ -47,12 +47,9 @@ def answers(
         own, first = ids[at : at + AT_ONCE], starts[at : at + AT_ONCE]
         windows = gather_windows(lived, own[None], first[None], window, asked)
         batch = PolicyBatch.from_windows(windows)
-        many = PolicyBatch(
-            *(
-                value if value is None else value.expand(V, *value.shape[1:])
-                for value in (getattr(batch, name) for name in batch.__dict__)
-            )
-        )
+        shown = (batch.observations, batch.previous_actions, batch.returns_to_go,
+                 batch.timesteps, batch.mask)  # fmt: skip
+        many = PolicyBatch(*(value.expand(V, *value.shape[1:]) for value in shown))
         actions = policy(many, prompts, returns).actions.float()  # (V, M, K, A)
         real = batch.mask[0]
         steps = torch.from_numpy(places.start[own])[:, None] + batch.timesteps[0]
@@ -75,7 +72,7 @@ class Echo(nn.Module):
     def forward(self, observations: Tensor, first: Tensor) -> Tensor:
         nothing = observations.new_zeros(len(observations), 0)
         found: Tensor = self.net(self.features.inputs(observations, first, nothing))
-        return found.unflatten(1, (self.voices, self.size))
+        return found.reshape(-1, self.voices, self.size)
 
 
 def teach(
@@ -101,7 +98,7 @@ def teach(
         pick = torch.from_numpy(generator_at(seed, update).integers(len(inputs), size=BATCH))
         loss = (echo.net(inputs[pick]) - target[pick]).square().mean()
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         optimizer.step()
         schedule.step()
     return echo

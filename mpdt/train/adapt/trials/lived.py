@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.slices.windows import WindowSource
 from mpdt.seeding import generator_at
-from mpdt.train.adapt.few_shot import LabelledSteps
+from mpdt.train.adapt.few_shot import LabelledSteps, TrimmedEpisodes
 from mpdt.train.adapt.trials.world import Steps
 from mpdt.train.fit.data import Material
 
@@ -28,13 +28,6 @@ class _Columns:
     observations: Floats
     actions: Floats
     rewards: Floats
-
-
-@dataclass(frozen=True)
-class _Places:
-    start: NDArray[np.int64]
-    obs_start: NDArray[np.int64]
-    length: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -63,7 +56,7 @@ class Lived:
         start = np.cumsum(length) - length
         self.steps = _Columns(*(np.concatenate([getattr(one, name) for one in stretches])
                                 for name in ("observations", "actions", "rewards")))  # fmt: skip
-        self.episodes = _Places(start, start + np.arange(len(length)), length)
+        self.episodes = TrimmedEpisodes(start, start + np.arange(len(length)), length)
 
     def __len__(self) -> int:
         return len(self.episodes.length)

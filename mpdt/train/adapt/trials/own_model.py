@@ -27,7 +27,7 @@ from mpdt.train.adapt.trials.echo import Echo, answers, teach
 from mpdt.train.adapt.trials.inside import Inside
 from mpdt.train.adapt.trials.live import Act, Floats
 from mpdt.train.adapt.trials.lived import Lived, Stretch
-from mpdt.train.adapt.trials.planner import Planner
+from mpdt.train.adapt.trials.planner import Planner, WorldStep
 from mpdt.train.adapt.trials.settings import TrialSettings
 from mpdt.train.adapt.trials.world import Steps, WorldModel, refit
 from mpdt.train.fit.trained import Trained
@@ -113,7 +113,7 @@ class _Planning:
     _since: int = 0
 
     def act(self, step: int, seen: Floats, _: float | None, record: Record) -> NDArray[np.floating]:
-        """The planned action; nothing any more once the trial has succeeded and the tail is over."""
+        """The planned action; nothing any more once it has succeeded and the tail is over."""
         settings, reached = self.settings, record.successes
         if reached is not None and reached[0, : max(0, step - settings.tail)].any():
             return np.zeros(self.planner.action_size, np.float32)
@@ -127,6 +127,6 @@ class _Planning:
         return self.planner.act(seen, record.observations[0, 0])
 
 
-def _member(world: WorldModel, seed: int, step: int):  # type: ignore[no-untyped-def]
+def _member(world: WorldModel, seed: int, step: int) -> WorldStep:
     """One of the ensemble (Thompson sampling), a function of (seed, step)."""
     return world.pick(int(generator_at(seed, step).integers(world.settings.members)))

@@ -117,10 +117,10 @@ class Planner:
             if float(found.returns[order[0]]) > most:
                 most, best = float(found.returns[order[0]]), found.actions[order[0]]
             chosen = found.actions[order[: settings.elites]]
-            chosen = chosen.unflatten(1, (self._knots, knot)).mean(dim=2)
+            chosen = chosen.reshape(len(chosen), self._knots, knot, -1).mean(dim=2)
             mean = chosen.mean(dim=0)
             std = chosen.std(dim=0, correction=0).clamp_min(0.05 * self._half)
-        after = best.unflatten(0, (self._knots, knot)).mean(dim=1)
+        after = best.reshape(self._knots, knot, -1).mean(dim=1)
         self._mean = torch.cat([after[1:], after[-1:]])
         assert len(best) == horizon
         return best

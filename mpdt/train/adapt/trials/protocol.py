@@ -23,13 +23,16 @@ import torch
 from torch import Tensor
 
 from mpdt.data.episode import Episode
+from mpdt.data.spec.tasks import Family
 from mpdt.model.fingerprint import fingerprint
 from mpdt.model.returns import ReturnTable
+from mpdt.seeding import phase_seed
+from mpdt.train.adapt.align import AdaptationSet, AdaptSettings
 from mpdt.train.adapt.trials.inside import make_inside
-from mpdt.train.adapt.trials.lived import Stretch
+from mpdt.train.adapt.trials.lived import Stretch, stretches_of
 from mpdt.train.adapt.trials.schedule import Ground, TaskTrials
 from mpdt.train.adapt.trials.settings import TrialRow, TrialSettings
-from mpdt.train.adapt.trials.store import Tried, TrialStore
+from mpdt.train.adapt.trials.store import TrialStore, Tried
 from mpdt.train.evaluate.controller import PerTaskController, PromptController
 from mpdt.train.evaluate.score import Reads
 from mpdt.train.fit.trained import Trained
@@ -68,29 +71,43 @@ class Known:
 
 
 def trial_results(
-    trained: Trained, settings: TrialSettings, returns: ReturnTable, window: int, horizon: int,
-    tasks: int, seed: int, known: Callable[[TrialRow], Known], on_step: OnStep,
-    folder: Path | None, facts: Any,
+    trained: Trained, adapt: AdaptSettings, returns: ReturnTable, window: int, horizon: int,
+    seed: int, x: AdaptationSet | None, inferred: Callable[[], Tensor], on_step: OnStep,
+    folder: Path | None,
 ) -> Iterator[TrialResult]:  # fmt: skip
     """Rows in the order asked for, each with every K.
 
     Args:
         returns: one row per test task.
-        tasks: training tasks that may share the weight, as `adapt.infer.tasks`.
-        known: what a row may read; asked only for the rows there are.
+        seed: of the run.
+        x, inferred: X, and the weights (n, N) that it gives; looked at only for the row with X.
         folder: where trials are kept, to go on with; None = nowhere.
-        facts: what else the trials depend on, as JSON values.
     Raises: TrainingError; FormatError for kept trials that are damaged; whatever `on_step` does.
     """
+    settings, tasks, material = adapt.trials, adapt.infer.tasks, trained.material
+    seed = phase_seed(seed, "trials")
     inside = make_inside(trained, settings, window, seed, on_step)
     acting = fingerprint(trained.policy, trained.prompts.task_prompts().detach(), trained.returns,
                          window)  # fmt: skip
+    facts = [acting.hex(), horizon, seed, material.dataset.content_hash, adapt.set,
+             adapt.episodes, msgspec.to_builtins(adapt.infer)]  # fmt: skip
+    n = len(material.test_rows)
     for row in dict.fromkeys(settings.rows):
-        bound = _hash(settings, row, [acting.hex(), horizon, tasks, seed, facts])
-        ground = Ground(trained, inside, settings, window, horizon, tasks, bytes.fromhex(bound))
-        found = _all_trials(ground, row, returns, known(row), on_step, folder)
+        known = Known([None] * n, [()] * n)
+        if row == "with_x":
+            assert x is not None
+            known = Known([own[None] for own in inferred()], _shown(x, material.family))
+        ground = Ground(trained, inside, settings, window, horizon, tasks,
+                        _hash(settings, row, facts))  # fmt: skip
+        found = _all_trials(ground, row, returns, known, on_step, folder)
         for count in sorted(set(settings.episodes)):
             yield _result(ground, row, count, returns, found)
+
+
+def _shown(x: AdaptationSet, family: Family) -> list[list[Stretch]]:
+    """X of each task, with its rewards."""
+    rewards, box = x.rewards(), (family.action_low, family.action_high)
+    return [stretches_of(x.source, ids.tolist(), rewards, *box) for ids in x.ids]
 
 
 def _all_trials(
@@ -139,9 +156,9 @@ def _result(
     )  # fmt: skip
 
 
-def _hash(settings: TrialSettings, row: TrialRow, facts: Any) -> str:
+def _hash(settings: TrialSettings, row: TrialRow, facts: Sequence[Any]) -> bytes:
     """Of all that a row's trials depend on; how many there are is not among it."""
     plain = msgspec.to_builtins(settings)
     del plain["episodes"], plain["rows"]
     text = json.dumps([plain, row, facts], sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(text.encode()).digest()

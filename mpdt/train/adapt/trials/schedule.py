@@ -76,7 +76,8 @@ class TaskTrials:
 
     def __init__(
         self, ground: Ground, task: Task, returns: ReturnTable, tell: Callable[[int, str], None],
-        weights: Tensor | None = None, x: Sequence[Stretch] = (), store: TrialStore | None = None, race: bool = False,
+        weights: Tensor | None = None, x: Sequence[Stretch] = (),
+        store: TrialStore | None = None, race: bool = False,
     ) -> None:  # fmt: skip
         self._ground, self._task, self._returns = ground, task, returns
         self._store, self._race, self._tell = store, race, tell

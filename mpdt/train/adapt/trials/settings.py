@@ -34,8 +34,9 @@ class WorldSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """Updates of the prompts' echo; a tenth of these before each trial that plans."""
 
     def __post_init__(self) -> None:
-        for name, least in (("echo", 10), ("members", 1), ("hidden", 1), ("episodes", 0), ("pretraining", 1),
-                            ("refitting", 1), ("every", 0), ("refreshing", 1), ("batch", 4)):  # fmt: skip
+        for name, least in (("echo", 10), ("members", 1), ("hidden", 1), ("episodes", 0),
+                            ("pretraining", 1), ("refitting", 1), ("every", 0),
+                            ("refreshing", 1), ("batch", 4)):  # fmt: skip
             check_at_least(f"adapt.trials.world.{name}", getattr(self, name), least)
         check_above_zero("adapt.trials.world.lr", self.lr)
 

@@ -72,11 +72,9 @@ class WorldModel(nn.Module):
 
         def layer(inputs: int, outputs: int) -> nn.ParameterList:
             weight = torch.randn((E, inputs, outputs), generator=generator) * (2 / inputs) ** 0.5
-            return nn.ParameterList(
-                [nn.Parameter(weight), nn.Parameter(torch.zeros(E, 1, outputs))]
-            )
+            return nn.ParameterList([weight, torch.zeros(E, 1, outputs)])
 
-        self.hidden = nn.ModuleList([layer(width, h), layer(h, h)])
+        self.first, self.second = layer(width, h), layer(h, h)
         self.change, self.reward = layer(h, self.num_changes), layer(h, heads)
         with torch.no_grad():
             for last in (self.change, self.reward):
@@ -85,15 +83,15 @@ class WorldModel(nn.Module):
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Changes and rewards, both in units of their spread."""
         hidden = inputs
-        for weight, bias in self.hidden:
-            hidden = torch.baddbmm(bias, hidden, weight).relu()
+        for layer in (self.first, self.second):
+            hidden = torch.baddbmm(layer[1], hidden, layer[0]).relu()
         return (torch.baddbmm(self.change[1], hidden, self.change[0]),
                 torch.baddbmm(self.reward[1], hidden, self.reward[0]))  # fmt: skip
 
     def pick(self, member: int) -> Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]:
         """One member alone: (observations (B, D), first (B, D), actions (B, A)) -> the next
         observations and the raw rewards (B,) of head 0."""
-        layers = [(weight[member], bias[member]) for weight, bias in self.hidden]
+        layers = [(layer[0][member], layer[1][member]) for layer in (self.first, self.second)]
         change = (self.change[0][member], self.change[1][member])
         reward = (self.reward[0][member, :, 0], self.reward[1][member, 0, 0])
 
@@ -113,7 +111,7 @@ class WorldModel(nn.Module):
         inputs = self.features.inputs(steps.observations, steps.first, steps.actions)
         _, rewards = self(inputs.expand(self.settings.members, *inputs.shape))
         raw = self.reward_mean + self.reward_std * rewards.mean(dim=0)
-        return raw.double().numpy()
+        return np.asarray(raw.numpy(), np.float64)
 
 
 def pretrain(
@@ -130,14 +128,12 @@ def pretrain(
     return model
 
 
-def refit(
-    model: WorldModel, steps: Steps, newest: int, updates: int, seed: int
-) -> WorldModel:
+def refit(model: WorldModel, steps: Steps, newest: int, updates: int, seed: int) -> WorldModel:
     """Another model with one head, for one unseen task; `model` stays as it is.
 
-    The head of a pretrained model begins as that of the training task which pays likest. A quarter of
-    every batch comes from the tenth of the steps that paid best: they are rare, and what it is about;
-    a quarter from the newest.
+    The head of a pretrained model begins as that of the training task which pays likest. A quarter
+    of every batch comes from the tenth of the steps that paid best: they are rare, and what it is
+    about. Another quarter comes from the newest.
 
     Args:
         newest: how many of the last steps are new.
@@ -191,7 +187,7 @@ def _fit(
                                 where="adapt.trials.world",
                                 hint="lower --adapt.trials.world.lr")  # fmt: skip
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         optimizer.step()
         schedule.step()
         if on_step:

@@ -1,23 +1,17 @@
-"""Trials end to end, tiny: two tasks of cheetah_dir's shape in the simulator, 8 steps an episode."""
+"""Trials end to end, tiny: the two tasks of cheetah_dir in the simulator, 8 steps an episode."""
 
-import json
-
-import msgspec
 import numpy as np
 import pytest
-import torch
 
+from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import CHECKS, verify
-from mpdt.data.spec.tasks import get_family
 from mpdt.errors import SpecError
 from mpdt.model.backbone import from_settings
 from mpdt.seeding import Quality, SeedKey
 from mpdt.train.adapt.candidates import Candidates
-from mpdt.train.adapt.trials import clone as cloning
 from mpdt.train.adapt.trials.live import trial_key
-from mpdt.train.evaluate.rollout import evaluate
 from mpdt.train.run.build import build
 from mpdt.train.run.config import from_plain, to_plain
 from mpdt.train.run.identity import plain_settings
@@ -156,7 +150,9 @@ def test_settings_of_trials_count_only_where_trials_are_asked_for():
 @pytest.mark.parametrize("method", ["Prompt-DT", "HDT", "MT-BC"])
 def test_a_policy_without_soft_prompts_is_refused(method):
     with pytest.raises(SpecError, match="need trained soft prompts"):
-        from_plain(merge(to_plain(apply_method(smoke(), method)), {"adapt": {"starts": ["trials"]}}))
+        from_plain(
+            merge(to_plain(apply_method(smoke(), method)), {"adapt": {"starts": ["trials"]}})
+        )
 
 
 @pytest.mark.parametrize(
