@@ -36,6 +36,9 @@ class Contender:
     successes: list[bool] = field(default_factory=list)
     retired: bool = False
 
+    def was_tried(self, has_success: bool) -> bool:
+        return bool(self.successes if has_success else self.returns)
+
     def worth(self, has_success: bool) -> float:
         if has_success:
             return (sum(self.successes) + 1) / (len(self.successes) + 2)

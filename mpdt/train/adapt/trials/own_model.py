@@ -52,12 +52,15 @@ class OwnModel:
     x: Sequence[Stretch]
     _wished: list[Tensor] = field(default_factory=list)
 
-    def planning(self, episodes: Sequence[Episode], now: Stretch | None, key: SeedKey) -> Act:
+    def planning(
+        self, episodes: Sequence[Episode], now: Stretch | None, number: int, key: SeedKey
+    ) -> Act:
         """Who plans the rest of a trial.
 
         Args:
             episodes: the trials before.
             now: this one so far; None at its beginning.
+        number: of trials that planned from their beginning, before this one.
         """
         settings, family = self.settings, self.trained.material.family
         seed = key.env_seed(Stream.UNIFORM)
@@ -72,6 +75,7 @@ class OwnModel:
             _member(world, seed, 0), self._echo(whole, now, seed), len(self.inside.voices),
             family.action_size, family.action_low, family.action_high, settings.planner,
             key.generator(Stream.POLICY),
+            settings.planner.probing > 0 and (number + 1) % settings.planner.probing == 0,
         )  # fmt: skip
         before = Lived(whole).as_steps() if whole else None
         return _Planning(planner, world, before, settings, seed).act

@@ -66,11 +66,13 @@ class Planner:
     Args:
         num_voices: V.
         generator: every random number comes from it, in the order of the steps.
+        probes: whether now and then a corner of the action box is held for a few steps.
     """
 
     def __init__(
         self, world: WorldStep, voices: Voices | None, num_voices: int, action_size: int,
         low: float, high: float, settings: PlannerSettings, generator: np.random.Generator,
+        probes: bool = False,
     ) -> None:  # fmt: skip
         self.world, self._voices, self._settings = world, voices, settings
         self.action_size, self._low, self._high = action_size, low, high
@@ -82,10 +84,15 @@ class Planner:
         self._own = torch.arange(num_voices).repeat(echoes)
         self._quiet = num_voices if echoes else 0
         self._left: list[np.ndarray] = []
+        self._probes, self._steps = probes, 0
 
     def act(self, observation: np.ndarray, first: np.ndarray) -> np.ndarray:
         """The action (A,) of this step; plans anew where the plan is used up."""
         settings = self._settings
+        self._steps += 1
+        if self._probes and self._steps % settings.probe_every == 0:
+            corner = np.where(self._generator.random(self.action_size) < 0.5, self._low, self._high)
+            self._left = [corner.astype(np.float32)] * settings.probe
         if not self._left:
             best = self.plan(torch.from_numpy(observation), torch.from_numpy(first))
             self._left = list(best[: settings.knot].numpy())

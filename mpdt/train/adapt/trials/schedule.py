@@ -129,16 +129,13 @@ class TaskTrials:
             return "try", next_runner(tried.contenders)
         if not tried.episodes:
             return "open", 0
-        at = best(tried.contenders, flags)
-        one = tried.contenders[at]
+        waiting = [i for i, one in enumerate(tried.contenders)
+                   if not (one.retired or one.was_tried(flags))]  # fmt: skip
+        at = waiting[-1] if waiting else best(tried.contenders, flags)
+        plans = sum(act == "plan" for act in tried.acts)
+        again = bool(waiting) or 2 * plans >= len(tried.acts)
         if flags:
-            again = one.worth(flags) >= WORTH_TRYING
-        else:
-            waiting = [i for i, each in enumerate(tried.contenders)
-                       if not each.retired and not each.returns]  # fmt: skip
-            at = waiting[-1] if waiting else at
-            plans = sum(act == "plan" for act in tried.acts)
-            again = bool(waiting) or plans >= len(tried.acts) - plans
+            again = tried.contenders[at].worth(flags) >= WORTH_TRYING
         if not again:
             return "plan", None
         return ("open" if at == self._base() else "try"), at
@@ -170,7 +167,8 @@ class TaskTrials:
                                 self._family.action_high)  # fmt: skip
 
     def _planning(self, key: SeedKey, now: Stretch | None) -> Act:
-        return self._model.planning(self.tried.episodes, now, key)
+        planned = sum(act == "plan" for act in self.tried.acts)
+        return self._model.planning(self.tried.episodes, now, planned, key)
 
     def _learn(self, kind: str, at: int | None, episode: Episode, key: SeedKey) -> None:
         """Count it for whoever acted; make a clone where there is something new to learn from."""

@@ -19,7 +19,7 @@ class WorldSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """Width of the two hidden layers."""
     episodes: int = 16
     """Episodes of each training task, half of them random, that it is pretrained on; 0 = all."""
-    pretraining: int = 3000
+    pretraining: int = 2000
     """Updates on the training tasks' steps; once per run."""
     refitting: int = 200
     """Updates on what a task's own trials have shown, before each that plans."""
@@ -57,6 +57,13 @@ class PlannerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     discount: float = 0.98
     noise: float = 0.15
     """Standard deviation added to what is done, as a share of half the action box."""
+    probing: int = 3
+    """Of so many trials that plan one has probes: now and then it goes straight in a direction,
+    away from where plans stay; 0 = none."""
+    probe_every: int = 36
+    """Steps from one probe to the next."""
+    probe: int = 12
+    """Steps of a probe."""
     echoes: int = 3
     """Roll-outs of each trained prompt's echo inside the model, all but one with noise; 0 = no
     proposals."""
@@ -64,6 +71,7 @@ class PlannerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     def __post_init__(self) -> None:
         for name, least in (("horizon", 1), ("knot", 1), ("samples", 1), ("rounds", 1),
                             ("elites", 1), ("discount", 0), ("noise", 0),
+                            ("probing", 0), ("probe_every", 1), ("probe", 0),
                             ("echoes", 0)):  # fmt: skip
             check_at_least(f"adapt.trials.planner.{name}", getattr(self, name), least)
         check_above_zero("adapt.trials.planner.spread", self.spread)

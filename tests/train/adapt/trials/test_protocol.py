@@ -6,7 +6,7 @@ import pytest
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.verify.finding import Outcome
-from mpdt.data.verify.verify import CHECKS, verify
+from mpdt.data.verify.verify import verify
 from mpdt.errors import SpecError
 from mpdt.model.backbone import from_settings
 from mpdt.seeding import Quality, SeedKey
@@ -129,7 +129,9 @@ def test_kept_trials_are_data_from_which_they_are_counted_again(tiny_file, tmp_p
     scores = Judge(trained_with(tiny_file, config), config, Progress(quiet=True),
                    keeper=keeper).scores()  # fmt: skip
     path = tmp_path / "k-trials-alone-2-own.h5"
-    assert verify(path, replay="all").count(Outcome.PASS) == len(CHECKS)
+    report = verify(path, replay="all")
+    found = {one.id: one.outcome for one in report.findings}
+    assert set(found.values()) <= {Outcome.PASS, Outcome.NONE} and found["replay"] is Outcome.PASS
     kept = open_dataset(path)
     told = {s.task: s.own_steps for s in scores if s.method == "MPDT-ones 2 own episodes"}
     for row, name in enumerate(kept.tasks.names):
