@@ -29,9 +29,15 @@ SHAPES = {"GPT-2 small": "random:gpt2", "SmolLM2-135M": "random:smollm2-135m"}
 
 
 class Run:
-    """Policy, prompts, optimiser and windows of one run; `dtype` auto is what users get."""
+    """Policy, prompts, optimiser and windows of one run; `dtype` auto is what users get.
 
-    def __init__(self, dataset: Any, backbone: str, dtype: str, depth: int = DEPTH) -> None:
+    Args:
+        hardware: where updates are computed; None = plainly on the processor.
+    """
+
+    def __init__(
+        self, dataset: Any, backbone: str, dtype: str, depth: int = DEPTH, hardware: Any = None
+    ) -> None:
         import torch
 
         from mpdt.data.slices.sampler import WindowSampler
@@ -40,6 +46,7 @@ class Run:
         from mpdt.model.prompts import DecomposedPrompts, PromptSettings
         from mpdt.model.returns import ReturnTable
         from mpdt.model.tokens import InputSettings
+        from mpdt.train.fit.device import PROCESSOR
         from mpdt.train.fit.loop import OptimiserSettings, make_optimizer
 
         rows = list(dataset.tasks.train_rows)[:TASKS]
@@ -56,7 +63,9 @@ class Run:
             PromptSettings(length=PROMPT), TASKS, self.backbone.width, self.backbone.spread, 0
         )
         one = torch.ones(TASKS)
-        self.returns = ReturnTable(scale=one, low=0 * one, high=one, target=one)
+        self.hardware = hardware or PROCESSOR
+        table = ReturnTable(scale=one, low=0 * one, high=one, target=one)
+        self.returns = self.hardware.returns(table)
         self.settings = OptimiserSettings()
         self.optimizer = make_optimizer(self.policy, self.prompts, self.settings)
         self.done = 0
@@ -64,7 +73,8 @@ class Run:
     def run(self) -> None:
         from mpdt.train.fit.loop import Update, fit
 
-        update = Update(self.policy, self.prompts, self.returns, self.sampler.seed)
+        update = Update(self.policy, self.prompts, self.returns, self.sampler.seed,
+                        hardware=self.hardware)  # fmt: skip
         fit(update, self.sampler, self.optimizer, self.settings,
             range(self.done, self.done + 1), lambda step, parts: False)  # fmt: skip
         self.done += 1
@@ -139,13 +149,13 @@ def decision_transformer(dataset: Any, ours: Run) -> Callable[[], None]:
     return run
 
 
-def product(dtype: Any) -> tuple[Callable[[], None], float]:
+def product(dtype: Any, device: str = "cpu") -> tuple[Callable[[], None], float]:
     """A matrix product of the size of a block's, and its floating-point operations."""
     import torch
 
     tokens, width, times = 1280, 768, 8
-    a = torch.randn(tokens, width, dtype=dtype)
-    b = torch.randn(4 * width, width, dtype=dtype)
+    a = torch.randn(tokens, width, dtype=dtype, device=device)
+    b = torch.randn(4 * width, width, dtype=dtype, device=device)
 
     def run() -> None:
         for _ in range(times):

@@ -1,6 +1,6 @@
 """Pack: parts -> one file, in canonical order, with slices, statistics and references.
 
-Blocks are opened one after another, so memory does not grow with the file. The old file at
+Some blocks at a time are opened, so memory does not grow with the file. The old file at
 the target stays until the new one has been read back and compared with the parts' digests.
 """
 
@@ -26,6 +26,7 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader, TtaSource
 from mpdt.data.store.tables import Additions, TaskRow
 from mpdt.data.store.writer import write_file
+from mpdt.data.workers.threads import in_order
 
 
 def pack(
@@ -53,8 +54,9 @@ def pack(
         return sum(block.rows for block in blocks), sum(steps[block] for block in blocks)
 
     def episodes(blocks: Sequence[Block]) -> Iterator[Episode]:
-        for block in blocks:
-            yield from folder.part(block).load_episodes()
+        # The next parts are read and proven while this one is written.
+        for loaded in in_order(lambda block: folder.part(block).load_episodes(), blocks):
+            yield from loaded
 
     stored = plan.of_kind("episodes")
     tta: dict[str, TtaSource] = {}

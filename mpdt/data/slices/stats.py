@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.layout import STATS, STATS_FIELDS
 from mpdt.data.store.tables import Float64, Int64, Stats
+from mpdt.data.workers.threads import in_order
 from mpdt.errors import DataError
 
 _Value = TypeVar("_Value")
@@ -124,7 +125,7 @@ def _table(
         table["min"][columns] = block.min(axis=1)
         table["max"][columns] = block.max(axis=1)
         # Column by column: with an axis numpy would select along the far one of a whole copy.
-        quantiles = np.stack([np.quantile(row, list(_QUANTILES.values())) for row in block], 1)
+        quantiles = np.stack(list(in_order(_quantiles, block)), 1)
         for name, values in zip(_QUANTILES, quantiles, strict=True):
             table[name][columns] = values
         block -= mean[:, None]
@@ -134,6 +135,10 @@ def _table(
     constant = table["min"] == table["max"]
     table["mean"][constant], table["std"][constant] = table["min"][constant], 0.0
     return table
+
+
+def _quantiles(row: Float64) -> Float64:
+    return np.asarray(np.quantile(row, list(_QUANTILES.values())))
 
 
 def _column_blocks(

@@ -26,6 +26,7 @@ from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.reader import open_tta_rewards
 from mpdt.data.store.tables import Int64
 from mpdt.data.store.ttaset import tta_episodes, unlabelled
+from mpdt.data.workers.threads import in_order
 from mpdt.errors import FormatError, MpdtError, quoted
 
 CHECKED_AT_ONCE = 4096  # episodes
@@ -85,7 +86,7 @@ def check_digests(
         hint: instead of leaving the episodes out.
     Raises: FormatError naming the first three episodes that differ.
     """
-    for name, wrong in differing(dataset, sets, ids):
+    for name, wrong in differing(dataset, sets, ids, threads=0):
         raise _damaged(dataset, wrong, name, where, hint)
 
 
@@ -94,18 +95,24 @@ def differing(
     sets: Iterable[str],
     ids: Int64 | None = None,
     stop: Callable[[], bool] = lambda: False,
+    threads: int = 1,
 ) -> Iterator[tuple[str, list[int]]]:
     """Episodes that do not have their digest, some thousands at a time: ("", ids) for the file's
-    own, (name of the set, ids) for a TTA set's."""
+    own, (name of the set, ids) for a TTA set's.
+
+    Args:
+        threads: as `in_order`; beside other work of this process one.
+    """
     table, steps, labels = dataset.episodes, dataset.steps, Labels(dataset)
     names = [*_ARRAYS, *(["successes"] if steps.successes is not None else [])]
     own = [(name, getattr(steps, name)) for name in names]
     every = np.arange(dataset.num_episodes) if ids is None else ids
-    for chunk in _chunks(every):
-        if stop():
-            return
-        texts = [labels.episode(i) for i in chunk]
-        if wrong := _wrong(own, table, chunk, texts):
+
+    def look(chunk: range) -> list[int]:
+        return _wrong(own, table, chunk, [labels.episode(i) for i in chunk])
+
+    for wrong in in_order(look, _until(stop, _chunks(every)), threads):
+        if wrong:
             yield "", wrong
     for name in sets:
         tta, (rewards, successes) = dataset.tta[name], open_tta_rewards(dataset, name, False)
@@ -117,6 +124,13 @@ def differing(
         for chunk in _chunks(np.arange(len(tta))):
             if wrong := _wrong(arrays, tta, chunk, [labels.tta(tta, i) for i in chunk]):
                 yield name, wrong
+
+
+def _until(stop: Callable[[], bool], chunks: Iterator[range]) -> Iterator[range]:
+    for chunk in chunks:
+        if stop():
+            return
+        yield chunk
 
 
 def _chunks(ids: NDArray[np.int64]) -> Iterator[range]:

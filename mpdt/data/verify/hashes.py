@@ -17,6 +17,7 @@ from mpdt.data.store.tables import TtaSet
 from mpdt.data.verify.finding import Fault, Finding, judge
 from mpdt.data.verify.material import Chunk, Material, Track
 from mpdt.data.verify.streaming import Faults
+from mpdt.data.workers.threads import Ahead
 from mpdt.errors import quoted
 
 
@@ -34,8 +35,15 @@ class HashCheck:
         self._material, self._lock = material, lock
         self._labels = Labels(material.dataset)
         self._faults, self._num_digests = Faults(), 0
+        self._ahead = Ahead[tuple[Track, Chunk, list[int]]]()
 
     def look(self, track: Track, chunk: Chunk) -> None:
+        """Begins to hash: what is found is added later, in the order of the chunks."""
+        for found in self._ahead.give(self._wrong, track, chunk):
+            self._add(*found)
+
+    def _wrong(self, track: Track, chunk: Chunk) -> tuple[Track, Chunk, list[int]]:
+        """Episodes of the chunk whose bytes are others. In a thread of its own."""
         table, labels = track.table, self._labels
         ids = range(chunk.first, chunk.last)
         arrays = [
@@ -50,10 +58,16 @@ class HashCheck:
         digests = array_digests(arrays, chunk.lengths.tolist(), texts)
         found = np.frombuffer(digests, np.uint8).reshape(-1, 32)
         wrong = np.flatnonzero((found != table.digest[chunk.first : chunk.last]).any(axis=1))
-        self._faults.add("other bytes than the digest says", track, (wrong + chunk.first).tolist())
-        self._num_digests += len(ids)
+        return track, chunk, (wrong + chunk.first).tolist()
+
+    def _add(self, track: Track, chunk: Chunk, wrong: list[int]) -> None:
+        self._faults.add("other bytes than the digest says", track, wrong)
+        self._num_digests += chunk.last - chunk.first
 
     def finding(self) -> Finding:
+        for found in self._ahead.rest():
+            self._add(*found)
+        self._ahead.stop()
         data = self._material.dataset
         faults = self._faults.all()
         if content_hash(data.content_header(), data.episodes.digest) != data.content_hash:

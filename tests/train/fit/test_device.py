@@ -63,6 +63,16 @@ def test_autocast_is_close_to_float32(material, plain, kind):
     assert all(p.dtype == torch.float32 for p in subject.prompts.parameters())
 
 
+@pytest.mark.gpu
+@pytest.mark.parametrize(("autocast", "near"), [("none", 1e-3), ("bfloat16", 0.03)])
+def test_updates_on_an_accelerator_are_close_to_the_processors(material, plain, autocast, near):
+    hardware = Hardware(HardwareSettings(device="cuda", autocast=autocast))
+    found, subject = losses(material, hardware)
+    assert found == pytest.approx(plain, rel=near)
+    kept = [*subject.policy.parameters(), *subject.prompts.parameters()]
+    assert {p.device.type for p in kept} == {"cpu"}, "afterwards everything is back"
+
+
 @pytest.mark.slow  # ten seconds of tracing
 @pytest.mark.filterwarnings("ignore:The .grad attribute")  # torch's tracer looks everywhere
 def test_compiled_blocks_give_the_same_losses(material, plain):
