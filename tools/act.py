@@ -64,7 +64,7 @@ def compare(policy: Any, results: dict[str, Any], facts: dict[str, Any]) -> int:
             index = policy.family.task(task).index
             key = SeedKey(settings["seed"], policy.family.id, index, Quality.EVALUATION, 0, episode)
             # What an episode of Meta-World begins with is its goal, and nothing else.
-            stream = Stream.GOAL if policy.family.simulator == "metaworld" else Stream.RESET
+            stream = Stream.GOAL if policy.family.draws_goals else Stream.RESET
             returns[episode], lived = live(policy, env, task, key.env_seed(stream))
             steps += lived
         found = float(returns.mean())
@@ -91,7 +91,7 @@ def live(policy: Any, env: Any, task: str, seed: int) -> tuple[float, int]:
 def environment(policy: Any, task: str, options: dict[str, Any]) -> Any:
     """The registered one of this family."""
     family = policy.family
-    if family.simulator == "metaworld":
+    if "metaworld" in family.packages:
         return gymnasium.make("mpdt/MetaWorld-v0", family=family.name, task=task, **options)
     name = "".join(part.capitalize() for part in family.name.split("_"))
     return gymnasium.make(f"mpdt/{name}-v0", task=task, **options)

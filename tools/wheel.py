@@ -3,15 +3,20 @@
     make wheel                             its dependencies are borrowed from .venv: a minute
     python tools/wheel.py --full      everything is installed from the index: minutes, 1 GB
     python tools/wheel.py --act RUN   and the bundle of that run acts there as it was judged
+    python tools/wheel.py --extras    each extra alone and all together, each in an environment of
+                                      its own, from the index (by uv where it is, which is quicker)
 
 What is tried: the files inside; in an empty folder `mpdt-data list`, `collect cheetah_dir --smoke`,
-`verify`, `import mpdt`, a smoke run of `mpdt-train`. Its bundle, copied into another folder, has to
-earn what results.json says (`tools/act.py`). Prints one line per step; exit code 1 on failure.
+`verify`, `import mpdt`, a smoke run of `mpdt-train`; ten lines of a stranger's under `mypy
+--strict`. The run's bundle, copied into another folder, has to earn what results.json says
+(`tools/act.py`). With --extras: `mpdt-data info --check` lacks nothing of what was asked for.
+Prints one line per step; exit code 1 on failure.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import subprocess
@@ -24,11 +29,27 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 DIST = ROOT / "build/dist"
 INSIDE = (
+    "mpdt/py.typed",
     "mpdt/datasets.yaml", "mpdt/data/weights/metaworld.json", "mpdt/data/weights/references.json",
     "mpdt/data/weights/cheetah_dir.safetensors", "mpdt/data/weights/cheetah_vel.safetensors",
     "mpdt/data/weights/ant_dir.safetensors", "mpdt/data/weights/cheetah_dir.json",
 )  # fmt: skip
 OUTSIDE = ("tests/", "benchmarks/", "docs/", "results/", "policies/", "constraints.txt")
+MOST_MB = 10  # without the weights of a language model
+EXTRAS = ("behaviour", "ray", "remote", "pages", "tensorboard", "wandb", "trackio")
+STRANGER = """\
+import numpy as np
+
+import mpdt
+
+
+def best(path: str, task: str) -> tuple[float, tuple[int, ...]]:
+    data = mpdt.open(path)
+    ids = data.select(task=task, quality="expert")
+    episode = data.episode(int(ids[np.argmax(data.episodes.returns[ids])]))
+    batch = mpdt.windows(data, window=20, per_task=4, seed=1).batch(0)
+    return episode.episode_return, batch.observations.shape
+"""
 TRAINING = (
     "--data cheetah_dir-smoke.h5 --preset smoke --name tried --quiet --teacher.steps 2"
     " --multitask.steps 4 --adapt.starts none --evaluation.no-constants"
@@ -39,13 +60,19 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--full", action="store_true", help="install the dependencies too")
     parser.add_argument("--act", metavar="RUN", type=Path, help="folder of a run with its bundle")
+    parser.add_argument("--extras", action="store_true", help="install each extra, and all")
     options = parser.parse_args()
     wheel = build()
     look_inside(wheel)
+    if options.extras:
+        for extras in [*([one] for one in EXTRAS), list(EXTRAS)]:
+            try_extras(wheel, extras)
+        return 0
     with tempfile.TemporaryDirectory(prefix="mpdt-wheel-") as folder:
         place = Path(folder)
         bin_folder = install(wheel, place / "venv", options.full)
         try_it(bin_folder, place)
+        check_types(bin_folder, place)
         for run_folder in filter(None, [place / "work/runs/tried", options.act]):
             act_elsewhere(bin_folder, run_folder, place / "elsewhere" / run_folder.resolve().name)
     print(f"works  {wheel.relative_to(ROOT)}   {wheel.stat().st_size / 1e6:.1f} MB")
@@ -72,6 +99,7 @@ def look_inside(wheel: Path) -> None:
         licence = any(name.endswith("licenses/LICENSE") for name in names)
         assert archive.read("mpdt/datasets.yaml") == (ROOT / "datasets.yaml").read_bytes()
     assert not missing and not surplus and licence, (missing, surplus, licence)
+    assert wheel.stat().st_size < MOST_MB * 1e6, wheel.stat().st_size
     print(f"inside  {len(names)} files: spec, weights, rates and references among them")
 
 
@@ -114,6 +142,35 @@ def try_it(programs: Path, place: Path) -> None:
         print("ran    ", command[0].name, *command[1:])
 
 
+def check_types(programs: Path, place: Path) -> None:
+    """A stranger's code is checked against the wheel's own types, and a mistake in it is seen."""
+    folder = place / "stranger"
+    folder.mkdir()
+    (folder / "good.py").write_text(STRANGER)
+    (folder / "bad.py").write_text(STRANGER.replace("window=20", 'window="20"'))
+    check = [sys.executable, "-m", "mypy", "--strict", "--python-executable", programs / "python"]
+    print("typed  ", run([*check, "good.py"], folder).strip())
+    assert "window" in run([*check, "bad.py"], folder, fails=True)
+
+
+def try_extras(wheel: Path, extras: list[str]) -> None:
+    """A fresh environment of the index alone has what these extras are for."""
+    with tempfile.TemporaryDirectory(prefix="mpdt-extras-") as folder:
+        python = Path(folder) / "venv/bin/python"
+        wanted = f"{wheel}[{','.join(extras)}]"
+        constraints = ["-c", ROOT / "constraints.txt"]
+        run([sys.executable, "-m", "venv", python.parent.parent])
+        if uv := shutil.which("uv"):
+            run([uv, "pip", "install", "--quiet", "--python", python, *constraints, wanted])
+        else:
+            run([python, "-m", "pip", "install", "--quiet", *constraints, wanted])
+        text = run([python.parent / "mpdt-data", "info", "--check", "--json"], Path(folder))
+        parts = {one["part"]: one["lacks"] for one in json.loads(text)}
+        assert all(parts[name] == [] for name in ("mpdt itself", *extras)), parts
+        others = [name for name in EXTRAS if name not in extras and parts[name] == []]
+        print(f"extra   {','.join(extras)}: there" + (f"; {', '.join(others)} too" * bool(others)))
+
+
 def act_elsewhere(programs: Path, run_folder: Path, far: Path) -> None:
     """A bundle alone, in a folder where nothing else lies, acts as results.json says."""
     shutil.copytree(run_folder / "policy", far / "policy")
@@ -124,12 +181,12 @@ def act_elsewhere(programs: Path, run_folder: Path, far: Path) -> None:
         print("acted  ", line)
 
 
-def run(command: list[object], folder: Path | None = None) -> str:
-    """Its output; what it says to stderr is shown if it fails."""
+def run(command: list[object], folder: Path | None = None, fails: bool = False) -> str:
+    """Its output; what it says to stderr is shown if it fails, unless it is meant to."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
     done = subprocess.run([*map(str, command)], cwd=folder, env=environment, text=True,
                           capture_output=True, check=False)  # fmt: skip
-    if done.returncode:
+    if bool(done.returncode) != fails:
         raise SystemExit(f"{' '.join(map(str, command))}\n{done.stdout}{done.stderr}")
     return done.stdout
 

@@ -161,15 +161,23 @@ class Show(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class Info(Options):
-    """Versions, machine and surroundings, to paste into a bug report.
+    """Versions, machine and surroundings, to paste into a bug report; or what is missing here.
+
+    With --check the exit code is 2 if mpdt lacks a package that it cannot do without.
 
     Examples:
       mpdt-data info
-      mpdt-data info --json
+      mpdt-data info --check
       mpdt-data info > versions.txt
     """
 
+    check: bool = False
+    """Say what each part needs that is not there, what for, and how to get it."""
+
     def run(self) -> None:
+        if self.check:
+            self._check()
+            return
         from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.store import provenance
         from mpdt.data.verbs.surroundings import other_packages, surroundings
@@ -184,3 +192,19 @@ class Info(Options):
         }
         rows = [row for part in found.values() for row in part.items()]
         self.print(found, text_table(rows, numbers_from=9))
+
+    def _check(self) -> None:
+        from dataclasses import asdict
+
+        from mpdt.data.verbs.needs import REQUIRED, needs
+        from mpdt.errors import UsageError
+
+        found = needs()
+        rows = [("part", "for", "", "to get it"), *(
+            (one.part, one.gives, f"missing: {', '.join(one.lacks)}" if one.lacks else "there",
+             one.get) for one in found)]  # fmt: skip
+        self.print([asdict(one) for one in found], text_table(rows, numbers_from=9))
+        if lacks := next(one.lacks for one in found if one.part == REQUIRED):
+            raise UsageError("packages are missing that mpdt needs for everything",
+                             where="this installation", found=", ".join(lacks),
+                             hint="pip install mpdt")  # fmt: skip
