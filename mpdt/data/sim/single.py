@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.sim.batch import FloatArray, StepResult
 from mpdt.data.spec.family import Family, Task, resolve
-from mpdt.errors import MpdtError, SimulatorError, UsageError
+from mpdt.errors import MpdtError, SimulatorError, UsageError, quoted
 from mpdt.seeding import SeedKey
 
 _NUMBERS = (float, int, np.floating, np.integer)
@@ -186,8 +186,8 @@ def broken(
 ) -> SimulatorError:
     """The error for an environment that breaks the contract; `at` is `reset` or `step 57`."""
     where = f"{family.module or family.name}, task {task.name}, {at}"
-    return SimulatorError(what, where=where, expected=expected, found=found, hint=hint or
-                          f"mpdt-data check-family {family.name} looks at all of it")  # fmt: skip
+    hint = hint or f"mpdt-data check-family {quoted(family.name)} looks at all of it"
+    return SimulatorError(what, where=where, expected=expected, found=found, hint=hint)
 
 
 def raised(family: Family, task: Task, at: str, error: Exception) -> SimulatorError:

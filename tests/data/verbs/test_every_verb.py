@@ -39,7 +39,7 @@ CHEAP: dict[str, Sequence[str]] = {
     "info": (),
     "completion": ("bash",),
 }
-ELSEWHERE = {"pretrain", "calibrate", "reference", "report"}
+ELSEWHERE = {"pretrain", "calibrate", "check-family", "reference", "report"}
 
 
 def test_no_verb_is_forgotten() -> None:
