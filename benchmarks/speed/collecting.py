@@ -85,13 +85,14 @@ def native(plan: Any, block: Any, episodes: list[Any]) -> Callable[[], int]:
     keys = block.keys(plan.family, plan.spec.seed)
     env.reset(keys, env.draw_goals(keys))
     start = env._state.copy()
-    model = ROBOTS[plan.family.scene.partition("/")[0]].model()
+    robot = plan.family.scene.partition("/")[0]
+    model = ROBOTS[robot].model()
     data = mujoco.MjData(model)
     controls = []
     for episode in episodes:
         clipped = np.clip(episode.actions, -1, 1) if block.kind == "tta" else episode.actions
         controls.append(clipped.astype(np.float64).repeat(FRAME_SKIP, axis=0)[None])
-    last = slice(8, 17) if plan.family.robot == "cheetah" else slice(13, 27)
+    last = slice(8, 17) if robot == "cheetah" else slice(13, 27)
 
     def run() -> int:
         done = 0

@@ -211,7 +211,10 @@ def worker_processes(
         def run() -> list[Any]:
             for pipe in pipes:
                 pipe.send(name)
-            return [pipe.recv() for pipe in pipes]
+            try:
+                return [pipe.recv() for pipe in pipes]
+            except (EOFError, ConnectionError):
+                raise SystemExit(f"error: a worker ended at '{name}', see above") from None
 
         return run
 
