@@ -38,6 +38,7 @@ class Stream(IntEnum):
     POLICY = 1
     GOAL = 2
     UNIFORM = 3
+    NOISE = 4
 
 
 class Quality(IntEnum):

@@ -82,5 +82,10 @@ def forgotten() -> Iterator[None]:
         own._FOLDERS.update(folders)
         sys.path[:] = path
         for name in set(sys.modules) - modules:
-            if not name.startswith(("mpdt", "numpy", "gymnasium")):
+            place = getattr(sys.modules[name], "__file__", None) or "site-packages"
+            # Installed ones are imported once: torch registers itself and cannot do so again.
+            if not (
+                name.startswith("mpdt.") or "site-packages" in place
+                or name.partition(".")[0] in sys.stdlib_module_names
+            ):  # fmt: skip
                 del sys.modules[name]

@@ -2,7 +2,7 @@
 
     python benchmarks/speed/pretraining.py [--rounds 3] [--keep]
 
-ours     `LocomotionVecEnv`, 256 rows, as `mpdt-data pretrain` runs it: simulate, then learn
+ours     `FamilyVecEnv`, 256 rows, as `mpdt-data pretrain` runs it: simulate, then learn
 peer     the same PPO, settings and environment on `DummyVecEnv` and `SubprocVecEnv`
 limit    the simulator alone: `mujoco.rollout` on as many threads, same rows
 
@@ -84,7 +84,7 @@ def measure(report: rounds.Report) -> None:
     import torch
     from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 
-    from mpdt.data.sim.vecenv import LocomotionVecEnv
+    from mpdt.data.sim.vecenv import FamilyVecEnv
     from mpdt.data.spec.tasks import get_family
 
     torch.set_num_threads(1)
@@ -96,7 +96,7 @@ def measure(report: rounds.Report) -> None:
 
     for title, epochs in (("simulate", 0), ("update", 6)):
         with rounds.without_output():
-            own = normalised(LocomotionVecEnv(family, ROWS, 0, rounds.cores()))
+            own = normalised(FamilyVecEnv(family, ROWS, 0, rounds.cores()))
             dummy = normalised(DummyVecEnv([make_env] * FEW))
             processes = normalised(SubprocVecEnv([make_env] * FEW, start_method="spawn"))
         name = f"SB3 SubprocVecEnv, {FEW} envs"

@@ -106,6 +106,23 @@ class PlaysAhead(Protocol):
 
 
 @runtime_checkable
+class RestartsRows(Protocol):
+    """A BatchEnv whose rows can begin an episode each by itself, for whoever trains behaviour.
+
+    takes_any_goal: a row may be given the goal of any task of the family.
+    """
+
+    @property
+    def takes_any_goal(self) -> bool: ...
+
+    def restart(self, row: int, key: SeedKey, goal: FloatArray) -> FloatArray:
+        """Begin an episode in one row, as `reset` would; its first observation (D,)."""
+        ...
+
+    def step(self, actions: npt.NDArray[np.float32]) -> StepResult: ...
+
+
+@runtime_checkable
 class HasScene(Protocol):
     """A BatchEnv that a camera can look at."""
 

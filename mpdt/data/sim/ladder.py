@@ -188,7 +188,8 @@ class ScriptLadder:
         return self._script(task, rate, rung, 1.0 if rung == last else level)
 
     def _script(self, task: Task, rate: float, rung: int, level: float) -> Policy:
-        return script_policy(self._family, self._script_name, task, rate, rung, level)
+        noise = self._spec.behaviour.noise
+        return script_policy(self._family, self._script_name, task, rate, rung, level, noise)
 
     def _uniform(self, task: Task) -> UniformPolicy:
         family = self._family

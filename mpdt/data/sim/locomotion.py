@@ -36,6 +36,8 @@ class LocomotionBatch:
         threads: native threads. Results do not depend on it.
     """
 
+    takes_any_goal = True
+
     def __init__(
         self,
         family: Family,
@@ -82,6 +84,19 @@ class LocomotionBatch:
     def reset_row(self, row: int, seed: int, goal: float) -> None:
         """Start a new episode in one row, leaving the others where they are."""
         self.start_row(row, generator_of(seed), goal)
+
+    def restart(self, row: int, key: SeedKey, goal: Floats) -> Floats:
+        """`reset_row`, as `RestartsRows` has it; its first observation (D,)."""
+        self.reset_row(row, key.env_seed(), goal[0])
+        state = self._state[row : row + 1]
+        qpos, qvel = state[:, self._qpos], state[:, self._qvel]
+        found: Floats = self._robot.observe(qpos, qvel, self._torso[row : row + 1])[0]
+        return found
+
+    def use_threads(self, threads: int) -> None:
+        """Step with so many native threads from now on."""
+        self._datas = [mujoco.MjData(self._model) for _ in range(threads)]
+        self._pool = rollout.Rollout(nthread=threads if threads > 1 else 0)
 
     def start_row(self, row: int, generator: np.random.Generator, goal: float) -> None:
         """`reset_row` with noise from a generator that may have been drawn from before."""

@@ -1,7 +1,9 @@
 """The policy of a family's own script: its actions mixed with uniform ones.
 
 The same rule as Meta-World's (`scripted.py`): with chance `mix_rate` per step a uniform action
-instead, coins from stream POLICY, and the uniform actions those of `UniformPolicy`.
+instead, coins from stream POLICY, and the uniform actions those of `UniformPolicy`. The script's
+own actions may get Gaussian noise, stream NOISE: one that is a function of what it sees would
+repeat itself wherever every episode starts at the same place.
 """
 
 from __future__ import annotations
@@ -25,43 +27,63 @@ from mpdt.seeding import Stream
 
 
 def script_policy(
-    family: Family, script: str, task: Task, rate: float, rung: int = -1, level: float = -1.0
+    family: Family,
+    script: str,
+    task: Task,
+    rate: float,
+    rung: int = -1,
+    level: float = -1.0,
+    noise: float = 0.0,
 ) -> Policy:
     """A script of a family, with chance `rate` per step a uniform action instead.
 
     Args:
         rung, level: what to record about it (see PolicyInfo); -1 = unknown.
+        noise: standard deviation of what is added to its actions; 0 for a family with `scripted`.
     """
-    make = mixed_policy if family.scripted is None else resolve(family.scripted)
-    policy: Policy = make(family, script, task, rate, rung, level)
+    if family.scripted is None:
+        return mixed_policy(family, script, task, rate, rung, level, noise)
+    policy: Policy = resolve(family.scripted)(family, script, task, rate, rung, level)
     return policy
 
 
 def mixed_policy(
-    family: Family, script: str, task: Task, rate: float, rung: int, level: float
+    family: Family,
+    script: str,
+    task: Task,
+    rate: float,
+    rung: int,
+    level: float,
+    noise: float = 0.0,
 ) -> MixedPolicy:
     """The policy of one rung, as `Family.scripted` makes it where a family has none."""
     definition: dict[str, object] = {
         "kind": "script", "family": family.name, "version": family.version, "script": script,
         "task": task.name, "mix_rate": float(rate),
     }  # fmt: skip
+    if noise:  # without, the hash of before there was any
+        definition["noise"] = float(noise)
     name = f"{script}+u{rate:.2f}" if rate else script
     info = PolicyInfo(definition_hash(definition), task.index, rung, level, -1, rate, name)
-    return MixedPolicy(family, script, info)
+    return MixedPolicy(family, script, info, noise)
 
 
 class MixedPolicy:
     """A script's actions, with chance `info.mix_rate` per step a uniform one instead.
 
     What the script answers is part of the family's version, and so of this policy's hash.
+
+    Args:
+        noise: standard deviation of what is added to the script's actions, in their own unit.
     """
 
-    def __init__(self, family: Family, script: str, info: PolicyInfo) -> None:
-        self.info = info
+    def __init__(self, family: Family, script: str, info: PolicyInfo, noise: float = 0.0) -> None:
+        self.info, self._noise_std = info, noise
         self._family, self._script = family, script
         self._goals = np.zeros((0, 0))
         self._coins: npt.NDArray[np.bool_] | None = None
         self._uniform: FloatArray | None = None
+        self._noise: FloatArray | None = None
 
     def begin(self, rows: Rows) -> None:
         family = self._family
@@ -71,6 +93,10 @@ class MixedPolicy:
             rows.keys, rows.horizon, family.action_size, family.action_low, family.action_high
         )
         self._goals = np.array(rows.goals)
+        if self._noise_std:
+            shape = (rows.horizon, family.action_size)
+            draws = [key.generator(Stream.NOISE).standard_normal(shape) for key in rows.keys]
+            self._noise = self._noise_std * np.stack(draws)
 
     def act(
         self, step: int, observations: Observations, rewards: Rewards | None = None
@@ -79,6 +105,8 @@ class MixedPolicy:
         # Asked for every row at every step, so that a row's answer does not depend on the others'
         # coins where a script computes in batches.
         found = self._answer(step, observations.astype(np.float64))
+        if self._noise is not None:
+            found = found + self._noise[:, step]
         return np.where(self._coins[:, step, None], self._uniform[:, step], found)
 
     def _answer(self, step: int, observations: FloatArray) -> FloatArray:

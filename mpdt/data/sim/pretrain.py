@@ -1,6 +1,6 @@
-"""Train the behaviour network of a locomotion family and export its rungs.
+"""Train the behaviour network of a family and export its rungs.
 
-    PPO (stable-baselines3) on the batched engine, one goal-conditioned network per family
+    PPO (stable-baselines3) on the family's simulator, one network that sees the goal per family
       -> snapshots on the way, each judged on every task
       -> rungs: spread evenly over the normalised return, a medium one for every task
       -> <name>.safetensors and <name>.json, which `NetworkLadder` reads
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -26,33 +26,11 @@ from mpdt.data.sim.checkpoint import PICKLES, Point, load_checkpoint, restore
 from mpdt.data.sim.network import network_scene
 from mpdt.data.sim.network_file import load_snapshot
 from mpdt.data.sim.rungs import JUDGED, describe_rungs
-from mpdt.data.spec.tasks import Family, get_family
+from mpdt.data.spec.family import Family
+from mpdt.data.spec.tasks import FAMILIES, SHIPPED, get_family
+from mpdt.data.spec.training import PretrainSettings, own_settings
 from mpdt.disk import check_replaceable, disk, holding, write_bytes
 from mpdt.errors import SimulatorError, UsageError, unknown_name
-
-
-@dataclass(frozen=True)
-class PretrainSettings:
-    """PPO settings of one family. Lengths in environment steps unless named otherwise."""
-
-    steps: int
-    rows: int = 256
-    steps_per_update: int = 50
-    minibatch: int = 3200
-    epochs: int = 6
-    learning_rate: float = 5e-4
-    hidden: int = 128
-    discount: float = 0.99
-    gae_lambda: float = 0.95
-    entropy: float = 0.0
-    log_std_init: float = -0.5
-    max_kl: float = 0.02
-    snapshots: int = 100
-    threads: int = 2
-    num_rungs: int = 20
-    judge_episodes: int = 16
-    judge_noise: float = 0.1
-
 
 SETTINGS: dict[str, PretrainSettings] = {
     "cheetah_dir": PretrainSettings(steps=12_000_000),
@@ -73,7 +51,7 @@ def pretrain(
     resume: bool = True,
     on_progress: Callable[[str], None] | None = None,
 ) -> Path:
-    """Train network `name` (a locomotion family) and write its rungs.
+    """Train the network of a family, named as it, and write its rungs.
 
     Args:
         seed: seeds the initial weights, minibatches and episodes.
@@ -84,12 +62,10 @@ def pretrain(
         on_progress: called with one line per update.
 
     Returns the path of the weights. Raises UsageError for a family without a network,
-    SimulatorError if the `behaviour` extra is not installed, StorageError if the folder cannot
-    be made or written to.
+    SimulatorError if the `behaviour` extra is not installed, the simulator breaks its contract, or
+    nothing was learnt; StorageError if the folder cannot be made or written to.
     """
-    if name not in SETTINGS:
-        raise unknown_name("behaviour network", name, SETTINGS)
-    settings = SETTINGS[name]
+    family, settings = _trainable(name)
     total = settings.steps if steps is None else steps
     if total < settings.rows * settings.steps_per_update:
         raise UsageError(
@@ -97,7 +73,6 @@ def pretrain(
             expected=f"at least {settings.rows * settings.steps_per_update}",
             found=str(total),
         )
-    family = get_family(name)
     folder = (output or Path.cwd()).resolve()
     work = folder / f"{name}.pretrain"
     target, record_path = folder / f"{name}.safetensors", folder / f"{name}.json"
@@ -109,6 +84,27 @@ def pretrain(
         for path in (target, record_path, work / CHECKPOINT):
             check_replaceable(path)
         return _pretrain(family, settings, total, seed, work, on_progress or (lambda line: None))
+
+
+def _trainable(name: str) -> tuple[Family, PretrainSettings]:
+    """Raises: UsageError for a family without a network; SpecError for one that is unusable."""
+    if name in SETTINGS:
+        return FAMILIES[name], SETTINGS[name]
+    if name not in SHIPPED and (family := _own(name)) is not None:
+        return family, own_settings(family.pretrain)
+    own = [one for one in FAMILIES if one not in SHIPPED]
+    raise unknown_name("behaviour network", name, [*SETTINGS, *own])
+
+
+def _own(name: str) -> Family | None:
+    try:
+        family = get_family(name)
+    except UsageError:
+        return None
+    if family.draws_goals:
+        raise UsageError("no network: its goals are drawn per episode", where=name,
+                         hint="give it a script")  # fmt: skip
+    return family
 
 
 def _clear(work: Path) -> None:
@@ -143,6 +139,7 @@ def _pretrain(
         say=say,
     )
     robot, _, reward = network_scene(family).partition("/")
+    packages = ("mpdt", "mujoco", "numpy", "stable-baselines3", "torch", *family.packages)
     record = {
         "network": name,
         "robot": robot,
@@ -151,10 +148,7 @@ def _pretrain(
         "steps": total,
         "wall_s": curve[-1].wall_s,  # of training, without judging
         "settings": asdict(settings),
-        "packages": {
-            package: metadata.version(package)
-            for package in ("mpdt", "mujoco", "numpy", "stable-baselines3", "torch")
-        },
+        "packages": {package: metadata.version(package) for package in dict.fromkeys(packages)},
         **ladder,
         "curve": [msgspec.to_builtins(point) for point in curve],
     }
@@ -183,7 +177,7 @@ def _train(
         from stable_baselines3.common.vec_env import VecNormalize
 
         from mpdt.data.sim.snapshots import Snapshots
-        from mpdt.data.sim.vecenv import LocomotionVecEnv
+        from mpdt.data.sim.vecenv import FamilyVecEnv
     except ImportError as error:
         raise SimulatorError(
             "training a behaviour network needs stable-baselines3",
@@ -192,10 +186,12 @@ def _train(
 
     torch.set_num_threads(1)  # small matrix products get slower on more threads
     run = {"network": family.name, "seed": seed, "settings": asdict(settings)}
+    if family.module:
+        run["scene"] = network_scene(family)
     kept = load_checkpoint(work, run)
     curve = list(kept[0].curve) if kept else []
     # Other episodes than before a stop: the resumed run is a valid, not an equal one.
-    rows = LocomotionVecEnv(family, settings.rows, seed + len(curve), settings.threads)
+    rows = FamilyVecEnv(family, settings.rows, seed + len(curve), settings.threads)
     env = VecNormalize(rows, norm_obs=True, norm_reward=True, gamma=settings.discount)
     model = PPO("MlpPolicy", env, seed=seed, device="cpu", **_ppo(settings))
     if kept:

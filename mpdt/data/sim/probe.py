@@ -36,11 +36,16 @@ class _Record:
 
 @dataclass(frozen=True)
 class Script:
-    """Whose actions are mixed with uniform ones: a script of a family, under simulator options."""
+    """Whose actions are mixed with uniform ones: a script of a family, under simulator options.
+
+    Args:
+        noise: standard deviation of what is added to its actions.
+    """
 
     family: Family
     name: str
     env: Mapping[str, float | bool] = field(default_factory=dict)
+    noise: float = 0.0
 
     @classmethod
     def of(cls, spec: DatasetSpec) -> Script:
@@ -49,11 +54,12 @@ class Script:
         family = get_family(spec.family)
         # Where several share their tasks, a calibration does not depend on which of them asks.
         measured = get_family(family.measured_in) if family.measured_in else family
-        return cls(measured, spec.behaviour.script, spec.env)
+        return cls(measured, spec.behaviour.script, spec.env, spec.behaviour.noise)
 
     def policy(self, task_name: str, rate: float = 0.0) -> Policy:
         """It acting on a task."""
-        return script_policy(self.family, self.name, self.family.task(task_name), rate)
+        task = self.family.task(task_name)
+        return script_policy(self.family, self.name, task, rate, noise=self.noise)
 
 
 class Probe:

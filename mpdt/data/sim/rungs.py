@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.data.sim.batch import BoolArray, FloatArray, roll_out
-from mpdt.data.sim.locomotion import LocomotionBatch
 from mpdt.data.sim.network import behaviour_inputs, network_actions
 from mpdt.data.sim.network_file import Weights, load_snapshot
-from mpdt.data.spec.tasks import Family
+from mpdt.data.sim.simulators import make_batch
+from mpdt.data.spec.family import Family
 from mpdt.disk import disk, write_bytes
-from mpdt.errors import FormatError
+from mpdt.errors import FormatError, SimulatorError
 from mpdt.seeding import Quality, SeedKey, Stream
 
 CAREFUL = 8
@@ -67,12 +67,13 @@ def describe_rungs(
     best = 1 + int(returns[1:].mean(axis=1).argmax())  # the untrained one is never final
     returns = returns[: best + 1]
     returns[best] = returns_of(paths[best], CAREFUL * episodes)
+    names = [task.name for task in family.tasks]
+    _check_learnt(family, returns[-1], random, say)
     # A few episodes find the snapshots near one half; more decide which is nearest.
     levels = ((returns - random) / (returns[-1] - random)).mean(axis=1)
     for i in np.flatnonzero(np.abs(levels - 0.5) <= NEAR):
         returns[i] = returns_of(paths[i], CAREFUL * episodes)
     levels = (returns - random) / (returns[-1] - random)
-    names = [task.name for task in family.tasks]
 
     def per_task(values: NDArray[np.float64]) -> dict[str, float]:
         return {name: round(float(value), 4) for name, value in zip(names, values, strict=True)}
@@ -88,6 +89,23 @@ def describe_rungs(
             for i in choose_rungs(levels, num_rungs)
         ],
     }
+
+
+def _check_learnt(
+    family: Family, final: FloatArray, random: FloatArray, say: Callable[[str], None]
+) -> None:
+    """Tells of tasks in which nothing was learnt. Raises: SimulatorError where no level exists."""
+    behind = np.flatnonzero(final <= random)
+    if not behind.size:
+        return
+    some = ", ".join(f"{family.tasks[i].name} {final[i]:.4g}, uniform {random[i]:.4g}"
+                     for i in behind[:3])  # fmt: skip
+    what = f"no better than uniform actions in {len(behind)} of {len(random)} tasks"
+    say(f"warning: {what}: {some}")
+    if (final == random).any():
+        raise SimulatorError(f"the network is {what}", where=family.name, found=some,
+                             hint="train longer (--steps), or does the reward depend on the "
+                             "actions?")  # fmt: skip
 
 
 def _read_judged(cache: Path, num_tasks: int) -> dict[str, list[float]]:
@@ -121,7 +139,9 @@ def judge(
         SeedKey(seed, family.id, task.index, Quality.PRETRAINING, 0, row)
         for row, task in enumerate(tasks)
     ]
-    env = LocomotionBatch(family, tasks, threads=threads)
+    env = make_batch(family, tasks)
+    if hasattr(env, "use_threads"):
+        env.use_threads(threads)
     goals = env.draw_goals(keys)
     stacked = np.array(goals)
     observations = env.reset(keys, goals)

@@ -33,6 +33,8 @@ class EnvBatch:
     Raises: SimulatorError for an environment that breaks the contract.
     """
 
+    takes_any_goal = False
+
     def __init__(
         self, family: Family, tasks: Sequence[Task], options: Mapping[str, float | bool]
     ) -> None:
@@ -74,6 +76,21 @@ class EnvBatch:
         self._num_steps = 0
         self._check_finite(np.zeros(self.num_rows))
         return self._observations
+
+    def restart(self, row: int, key: SeedKey, goal: FloatArray) -> FloatArray:
+        """Begin an episode in one row, as `RestartsRows` has it; its first observation (D,)."""
+        check_goals(self._family, self._tasks[row : row + 1], [goal])
+        with told(self._family, self._tasks[row], "reset"):
+            first, _ = self._envs[row].reset(seed=key.env_seed())
+        if np.shape(first) != (self.observation_size,) or not np.isfinite(first).all():
+            raise self._broken(row, "a first observation that is none", str(first)[:120])
+        self._type = first.dtype
+        self._observations = self._observations.copy()
+        self._observations[row] = first
+        self._running = sorted({*self._running, row})
+        self._num_steps = max(self._num_steps, 0)
+        found: FloatArray = self._observations[row]
+        return found
 
     def step(self, actions: NDArray[np.float32]) -> StepResult:
         """One step of every row that has not ended."""

@@ -1,7 +1,11 @@
-"""The batched locomotion engine as a stable-baselines3 vector environment.
+"""A family's simulator as a stable-baselines3 vector environment.
 
-Only `pretrain.py` uses it. Rows reset themselves at their horizon or on a fall, and every
-episode draws a new task, so one run learns the whole family.
+Only `pretrain.py` uses it. Rows start anew at their horizon or where their episode ends, so one run
+learns the whole family:
+
+    a batch whose rows take any goal     every episode draws a new task       (locomotion)
+    a batch whose rows start anew        a row keeps its task                 (a family's `env`)
+    any other                            one batch of one row per row, which keeps its task
 """
 
 from __future__ import annotations
@@ -14,24 +18,28 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from mpdt.data.sim.locomotion import LocomotionBatch
+from mpdt.data.sim.batch import FloatArray, RestartsRows, StepResult
 from mpdt.data.sim.network import behaviour_inputs
-from mpdt.data.spec.tasks import Family
+from mpdt.data.sim.simulators import make_batch
+from mpdt.data.spec.family import Family, Task
 from mpdt.seeding import Quality, SeedKey, Stream
 
 
-class LocomotionVecEnv(VecEnv):  # type: ignore[misc]  # untyped base
-    """`num_rows` episodes of random tasks of one family; observations are network inputs.
+class FamilyVecEnv(VecEnv):  # type: ignore[misc]  # untyped base
+    """`num_rows` episodes of the tasks of one family; observations are network inputs.
 
     Row i starts i/num_rows of a horizon late, so that the rows do not reset all at once and
     every batch of experience covers whole episodes.
+
+    Raises: SimulatorError for a family whose simulator is not here, or breaks the contract.
     """
 
     def __init__(self, family: Family, num_rows: int, seed: int, threads: int) -> None:
         self._family, self._seed = family, seed
-        tasks = [family.tasks[row % len(family.tasks)] for row in range(num_rows)]
-        self._batch = LocomotionBatch(family, tasks, threads=threads)
-        self._goals = np.zeros(num_rows)
+        self._tasks = [family.tasks[row % len(family.tasks)] for row in range(num_rows)]
+        self._batch = _restarting(family, self._tasks, threads)
+        self._goals = np.array([task.goal for task in self._tasks])
+        self._observations = np.zeros((num_rows, family.observation_size))
         self._episodes = np.zeros(num_rows, dtype=np.int64)
         self._elapsed = np.zeros(num_rows, dtype=np.int64)
         self._returns = np.zeros(num_rows)
@@ -48,16 +56,16 @@ class LocomotionVecEnv(VecEnv):  # type: ignore[misc]  # untyped base
     def _start(self, row: int) -> None:
         episode = int(self._episodes[row])
         key = SeedKey(self._seed, self._family.id, 0, Quality.PRETRAINING, episode, row)
-        pick = key.generator(Stream.GOAL).integers(len(self._family.tasks))
-        self._goals[row] = self._family.tasks[pick].goal[0]
-        self._batch.reset_row(row, key.env_seed(), self._goals[row])
+        if self._batch.takes_any_goal:
+            pick = key.generator(Stream.GOAL).integers(len(self._family.tasks))
+            self._goals[row] = self._family.tasks[pick].goal
+        self._observations[row] = self._batch.restart(row, key, self._goals[row])
         self._episodes[row] += 1
         self._elapsed[row] = 0
         self._returns[row] = 0.0
 
     def _inputs(self) -> NDArray[np.float32]:
-        observations = self._batch.observations()
-        inputs = behaviour_inputs(self._family, observations, self._goals[:, None])
+        inputs = behaviour_inputs(self._family, self._observations, self._goals)
         return inputs.astype(np.float32)
 
     def reset(self) -> NDArray[np.float32]:
@@ -71,6 +79,7 @@ class LocomotionVecEnv(VecEnv):  # type: ignore[misc]  # untyped base
 
     def step_wait(self) -> tuple[Any, ...]:
         result = self._batch.step(self._actions.astype(np.float32))
+        self._observations = result.observations.copy()
         self._elapsed += 1
         self._returns += result.rewards
         done = result.terminations | (self._elapsed >= self._family.horizon)
@@ -88,7 +97,7 @@ class LocomotionVecEnv(VecEnv):  # type: ignore[misc]  # untyped base
         return self._inputs(), result.rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Nothing to close: the engine holds no process and no window."""
+        """Nothing to close: a simulator holds no process and no window."""
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         return [None] * self.num_envs  # seeded at construction, by named keys
@@ -104,3 +113,34 @@ class LocomotionVecEnv(VecEnv):  # type: ignore[misc]  # untyped base
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         return [False] * self.num_envs
+
+
+def _restarting(family: Family, tasks: Sequence[Task], threads: int) -> RestartsRows:
+    batch = make_batch(family, tasks)
+    if not isinstance(batch, RestartsRows):
+        return _RowByRow(family, tasks)
+    if hasattr(batch, "use_threads"):
+        batch.use_threads(threads)
+    return batch
+
+
+class _RowByRow:
+    """A batch of its own for every row: the slow way, for those that start all rows together."""
+
+    takes_any_goal = False
+
+    def __init__(self, family: Family, tasks: Sequence[Task]) -> None:
+        self._rows = [make_batch(family, [task]) for task in tasks]
+
+    def restart(self, row: int, key: SeedKey, goal: FloatArray) -> FloatArray:
+        observation: FloatArray = self._rows[row].reset([key], [goal])[0]
+        return observation
+
+    def step(self, actions: NDArray[np.float32]) -> StepResult:
+        each = [one.step(actions[row : row + 1]) for row, one in enumerate(self._rows)]
+        return StepResult(
+            np.concatenate([one.observations for one in each]),
+            np.concatenate([one.rewards for one in each]),
+            np.concatenate([one.terminations for one in each]),
+            None,
+        )

@@ -41,9 +41,10 @@ class Behaviour(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     Args:
         network: name of the shipped weights, or the path of one's own without suffix, such as
             `./weights/cheetah_dir`; what has a slash or begins with a dot is a path.
-        script: `metaworld`, its own scripted policies.
+        script: one of the family's own, such as `metaworld`.
         rungs: number of policies on the ladder from untrained to final.
-        noise: standard deviation of the Gaussian added to a network's actions.
+        noise: standard deviation of the Gaussian added to a network's or an own script's actions,
+            in their unit; Meta-World's scripts have none.
     """
 
     network: str | None = None
@@ -272,6 +273,9 @@ def _family_problems(spec: DatasetSpec, family: Family) -> list[Problem]:
             problems.append(("test", f"not among the tasks: {outside}", "add them to tasks"))
         if test >= inside:
             problems.append(("test", "leaves no training task", "name fewer"))
+    if spec.behaviour.script is not None and spec.behaviour.noise and family.scripted is not None:
+        problems.append(("behaviour.noise", f"the scripts of {family.name} take none",
+                         "leave it out"))  # fmt: skip
     if spec.goals is not None:
         if spec.goals.problem:
             problems.append(("goals", spec.goals.problem, "0 < held_out < count"))

@@ -103,6 +103,8 @@ class Family:
             mixed with uniform actions; default: one made of `scripts`.
         single: `single(family, task, **kwargs)` -> the gymnasium.Env of a family that is stepped
             in another way; it keeps horizon and hidden columns itself.
+        pretrain: how its behaviour network is trained, where not as `PretrainSettings` of
+            `training.py` has it; `mpdt-data pretrain NAME` reads it.
         steps_per_s: of one worker, for estimates only.
         policy_rows: rows at which a trained policy is evaluated when its episodes are collected.
         bundle_rows: rows up to which short blocks are stepped side by side; 0 = block by block.
@@ -142,6 +144,7 @@ class Family:
     rates: str = ""
     scripted: Hook = None
     single: Hook = None
+    pretrain: Mapping[str, float] = field(default_factory=dict, hash=False)
     steps_per_s: float = 5_000.0
     policy_rows: int = 25
     bundle_rows: int = 0

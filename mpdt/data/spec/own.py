@@ -22,12 +22,13 @@ from mpdt.data.spec import tasks as known
 from mpdt.data.spec.family import Family, stored_family
 from mpdt.data.spec.named import import_named
 from mpdt.data.spec.rules import family_problems
+from mpdt.data.spec.training import settings_problems
 from mpdt.data.spec.yamltext import load_yaml
 from mpdt.errors import DataError, Lines, MpdtError, SpecError, UsageError, nearest
 
 GROUP = "mpdt.families"
 FILE_NAME = "datasets.yaml"
-KEYS = ("module", "scripts")
+KEYS = ("module", "scripts", "pretrain")
 
 _FOLDERS: dict[str, str] = {}
 """By family: the folder that its module was found in; empty where it is installed."""
@@ -74,7 +75,7 @@ def load_family(name: str, entry: Mapping[str, Any], folder: str) -> Family:
     """The family of an entry under `families`, registered.
 
     Args:
-        entry: `module`, and `scripts` by name, all `module:name`.
+        entry: `module`, and `scripts` by name, all `module:name`; settings of `pretrain`.
         folder: looked into before installed packages; empty = only there.
     Raises: SpecError for a module that does not import or has no such family.
     """
@@ -96,7 +97,8 @@ def load_family(name: str, entry: Mapping[str, Any], folder: str) -> Family:
         raise SpecError("no family", where=words, expected="a mpdt.Family, or a function of "
                         "nothing that gives one", found=type(found).__name__)  # fmt: skip
     scripts = dict(found.scripts) | dict(entry.get("scripts", {}))
-    return _add(replace(found, name=name, scripts=scripts), words, folder)
+    training = dict(found.pretrain) | dict(entry.get("pretrain", {}))
+    return _add(replace(found, name=name, scripts=scripts, pretrain=training), words, folder)
 
 
 def _add(family: Family, module: str, folder: str) -> Family:
@@ -187,6 +189,8 @@ def _entry_problems(entry: object) -> Iterator[tuple[str, str]]:
     if not isinstance(scripts, dict):
         yield "scripts: expected a block of names", "scripts: {expert: my_policies:act}"
         scripts = {}
+    for problem in settings_problems(entry.get("pretrain", {})):
+        yield problem, ""
     for place, words in [("module", entry.get("module")), *scripts.items()]:
         if not isinstance(words, str) or not all(words.partition(":")):
             yield f"{place}: expected module:name, found {words!r}", "my_families:point_robot"

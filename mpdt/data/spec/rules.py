@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 
 from mpdt.data.spec.family import Family, Task
+from mpdt.data.spec.training import settings_problems
 
 # As names of entries: parts of a collection and sets of an export are files of these names.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
@@ -103,6 +104,7 @@ def _hooks(family: Family) -> Iterator[str]:
         is_words = isinstance(hook, str) and all(hook.partition(":"))
         if hook is not None and not is_words and (isinstance(hook, str) or not callable(hook)):
             yield f"{key}: a function or `module:name`, found {hook!r}"
+    yield from settings_problems(family.pretrain)
     if not isinstance(family.options, frozenset) or not all(
         isinstance(option, str) and option.isidentifier() for option in family.options
     ):

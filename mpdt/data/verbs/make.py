@@ -209,14 +209,16 @@ class Collect(Plans):
 
 @dataclass(frozen=True, kw_only=True)
 class Pretrain(Options):
-    """Train the behaviour network of a locomotion family and export its rungs.
+    """Train the behaviour network of a family and export its rungs.
 
-    Needs the extra: pip install 'mpdt[behaviour]'. The rungs of cheetah_dir are shipped.
+    Of cheetah_dir, cheetah_vel and ant_dir, whose rungs are shipped, or of a family of your own:
+    PPO on its simulator, the task's goal beside the observation. An entry acts by it with
+    `behaviour: {network: ./NAME}`. Needs the extra: pip install 'mpdt[behaviour]'.
 
     Examples:
       mpdt-data pretrain cheetah_dir
       mpdt-data pretrain cheetah_dir --steps 2000000 -o weights
-      mpdt-data pretrain cheetah_dir --seed 1 --no-resume
+      mpdt-data pretrain my_family --seed 1 --no-resume
     """
 
     name: Name
@@ -242,11 +244,11 @@ class Pretrain(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class Calibrate(Options):
-    """Find the mixing rate that makes each Meta-World script `medium`; minutes per task.
+    """Find the mixing rate that makes each script `medium`; minutes per task of Meta-World.
 
-    The rates of all tasks at 200 and 500 steps are shipped. Those measured here win over them
-    in every collection started from this folder; delete the file to go back. Stop and start
-    it as you like: what the file holds already is kept.
+    The rates of all tasks of Meta-World at 200 and 500 steps are shipped. Those measured here win
+    over them in every collection started from this folder; delete the file to go back. Stop and
+    start it as you like: what the file holds already is kept.
 
     Examples:
       mpdt-data calibrate ml10

@@ -77,10 +77,10 @@ def fresh_model() -> Any:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecNormalize
 
-    from mpdt.data.sim.vecenv import LocomotionVecEnv
+    from mpdt.data.sim.vecenv import FamilyVecEnv
 
     settings = module.SETTINGS["cheetah_dir"]
-    env = VecNormalize(LocomotionVecEnv(get_family("cheetah_dir"), 16, 0, 1))
+    env = VecNormalize(FamilyVecEnv(get_family("cheetah_dir"), 16, 0, 1))
     return PPO("MlpPolicy", env, seed=3, device="cpu", **module._ppo(settings))
 
 

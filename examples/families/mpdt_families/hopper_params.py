@@ -1,0 +1,37 @@
+"""Hopper of gymnasium, its masses, inertias, damping and friction another in every task."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
+
+import mpdt
+from mpdt_families.changed_model import HORIZON, PRETRAIN, RULES, change, changed_tasks, columns
+
+PARAMS_SEED = 20240904
+NUM_PARAMS = 4 + 12 + 3 + 15
+JOINTS = ("thigh", "leg", "foot")
+
+
+def make(task: mpdt.Task) -> Any:
+    """The environment of a task."""
+    return change(HopperEnv(**RULES), task.goal)
+
+
+hopper_params = mpdt.Family(
+    name="hopper_params",
+    tasks=changed_tasks(PARAMS_SEED, NUM_PARAMS),
+    columns=columns(JOINTS),
+    action_size=3,
+    horizon=HORIZON,
+    step_s=0.008,
+    return_target=300.0,
+    return_scale=200.0,
+    env=make,
+    pretrain=PRETRAIN,
+    ends_early=False,
+    packages=("mujoco",),
+    about="A one-legged hopper is to run, its masses, inertias, damping and friction hidden",
+    steps_per_s=15_000.0,
+)
