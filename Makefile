@@ -12,7 +12,7 @@
 #              results/trust/*.json and docs/trust.md
 # make ecosystem   exports read by the packages they are made for, in build/ecosystem; writes
 #              results/ecosystem.json and docs/ecosystem.md; then the same for trackers
-# make results tables and pictures under docs/results, from the cells in results/studies/one-block
+# make results tables and pictures under docs/results, from the cells in results/studies
 # make pages   the pages in a headless Chromium
 # make site    the documentation as a site, build/site/html, walked by a headless Chromium
 # make docs    the references under docs/reference/ and the list of all options, from the code
@@ -149,7 +149,7 @@ site: build/site-venv/ready
 	@$(SITE)/bin/python tools/walk_site.py || test $$? -eq 3
 
 results: .venv/ready
-	$(BIN)/mpdt-train report results/studies/one-block -o docs/results
+	$(BIN)/mpdt-train report results/studies -o docs/results
 
 clean:
 	rm -rf .venv demo

@@ -250,7 +250,7 @@ def _report(command: Report) -> int:
     from mpdt.train.report.study_tables import print_study
     from mpdt.train.run.results import read_results
     from mpdt.train.run.show import print_results
-    from mpdt.train.study.summary import is_study, read_cells
+    from mpdt.train.study.summary import is_study, read_cells, studies_in
 
     if not command.folder.is_dir():
         raise UsageError("no folder of a run or a study", where=str(command.folder),
@@ -262,9 +262,9 @@ def _report(command: Report) -> int:
         if command.html is not None:
             from mpdt.train.report.page import study_content, write_result
 
-            write_result(
-                command.html, study_content(read_cells(command.folder), command.folder.name)
-            )
+            studies = [study.name for study in studies_in(command.folder)]
+            content = study_content(read_cells(command.folder), command.folder.name, studies)
+            write_result(command.html, content)
         return 0
     results = read_results(command.folder)
     print_results(results, command.json)

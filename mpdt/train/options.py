@@ -163,7 +163,8 @@ class Report:
     """
 
     folder: tyro.conf.Positional[Path]
-    """A run's folder, such as runs/ml10-base, or a study's results: results/studies/one-block."""
+    """A run's folder, such as runs/ml10-base, a study's results (results/studies/one-block), or
+    those of all studies together (results/studies)."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Write tables.md, tables.csv and pictures (SVG) of a study there, or the maps of a
     run's prompts."""

@@ -185,9 +185,10 @@ def _weights(weights: Mapping[str, float] | Sequence[Any]) -> str:
 # ---- a study ----
 
 
-def study_content(cells: Sequence[CellResult], name: str) -> Content:
-    """The page of the cells of a study: one part per data set and block."""
-    tables = report_tables(cells, name)
+def study_content(cells: Sequence[CellResult], name: str, studies: Sequence[str] = ()) -> Content:
+    """The page of the cells of studies (default: of the one of that name): one part per data set
+    and block."""
+    tables = report_tables(cells, studies or [name])
     verdicts = [table for table in tables if ":" not in table.title]
     parts = [Part(table.title, [table]) for table in verdicts]
     curves = []

@@ -2,6 +2,7 @@
 
 DATA-tasks.svg        mean over the test tasks of every row, coloured by what was read
 DATA-each-task.svg    every test task: the trivial rows, and of each kind of reading the best
+DATA-trials.svg       return and success over the number of own episodes, a line per row
 DATA-training.svg     action loss, one chart per method, its seeds thin and their mean thick
 DATA-adaptation.svg   alignment loss likewise, one chart per method and start
 DATA-prompts.svg      maps of P_c and the first P_k of one cell
@@ -21,6 +22,7 @@ from mpdt.draw.chart import Axis, Chart, Dot, Mark, axis_over, line, row_chart
 from mpdt.draw.sheet import Sheet, write_sheet
 from mpdt.train.report.charts import REFERENCE, Points
 from mpdt.train.study.maps import KEPT, map_pixels, prompt_maps
+from mpdt.train.study.protocols import split_own
 from mpdt.train.study.summary import CellResult, Row, best_of_each, summarise, task_intervals
 
 WIDE, LETTERS = 720, 48  # names are written out: nothing is told by pointing at a linked picture
@@ -32,7 +34,7 @@ COLOURS = {
 
 
 def draw_study(cells: Sequence[CellResult], folder: Path) -> list[Path]:
-    """The first four pictures of every data set; those with nothing to show are left out.
+    """All pictures but the prompts of every data set; those with nothing to show are left out.
 
     Raises: StorageError where the disk refuses.
     """
@@ -120,6 +122,51 @@ def _legend(rows: Iterable[Row]) -> list[tuple[str, str]]:
     return known + [(REFERENCE, "references")] * ("-" in reads)
 
 
+def _trials(data: str, cells: Sequence[CellResult]) -> Sheet:
+    """Random and expert as flat lines; no line where only one count was judged."""
+    rows = summarise(cells, "test")
+    found: dict[str, list[tuple[int, Row]]] = {}
+    for row in rows:
+        name, count = split_own(row.method)
+        if count:
+            found.setdefault(name, []).append((count, row))
+    lines = {name: sorted(own, key=lambda one: one[0]) for name, own in found.items()}
+    lines = {name: own for name, own in lines.items() if len(own) > 1}
+    keys = {name: f"c{place}" for place, name in enumerate(lines)}
+    flat = [row for row in rows if row.method in ("random", "expert")]
+    charts = [
+        _over_count(title, number, lines, keys, flat)
+        for title, number in (("mean return", _mean), ("success", _success))
+        if lines and all(number(row) is not None for own in lines.values() for _, row in own)
+    ]  # fmt: skip
+    legend = [*((key, name) for name, key in keys.items()), (REFERENCE, "random and expert")]
+    return Sheet(f"{data}: unseen tasks after own episodes", charts, legend, columns=2)
+
+
+def _mean(row: Row) -> float | None:
+    return row.mean
+
+
+def _success(row: Row) -> float | None:
+    return row.success
+
+
+def _over_count(
+    title: str, number: Callable[[Row], float | None], lines: dict[str, list[tuple[int, Row]]],
+    keys: dict[str, str], flat: Sequence[Row],
+) -> Chart:  # fmt: skip
+    counts = [count for own in lines.values() for count, _ in own]
+    ends = (min(counts), max(counts))
+    marks = [line(REFERENCE, ends, [number(row) or 0.0] * 2, row.method) for row in flat]
+    for name, own in lines.items():
+        at = [count for count, _ in own]
+        heights = [number(row) or 0.0 for _, row in own]
+        marks.append(line(keys[name], at, heights, name))
+    values = [y for mark in marks for y in mark.points[:, 1].tolist()]
+    return Chart(title, axis_over([0.0, *ends], "own episodes on each task"),
+                 axis_over([0.0, *values], title), tuple(marks))  # fmt: skip
+
+
 def _training(data: str, cells: Sequence[CellResult]) -> Sheet:
     return _curves(f"{data}: action loss over updates", cells, "student")
 
@@ -154,5 +201,6 @@ def _curve(label: str, seeds: Sequence[Points], y: Axis) -> Chart:
 
 
 _PICTURES: dict[str, Callable[[str, Sequence[CellResult]], Sheet]] = {
-    "tasks": _tasks, "each-task": _each_task, "training": _training, "adaptation": _adaptation,
+    "tasks": _tasks, "each-task": _each_task, "trials": _trials, "training": _training,
+    "adaptation": _adaptation,
 }  # fmt: skip

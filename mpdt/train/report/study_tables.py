@@ -12,17 +12,18 @@ from mpdt.draw.table import Table, markdown_page, rich_tables
 from mpdt.train.evaluate.tables import NORMALISED
 from mpdt.train.run.show import WIDTH_WITHOUT_TERMINAL
 from mpdt.train.study.claims import CLAIMED_OF, GOALS, claims_table, goals_table
-from mpdt.train.study.summary import CellResult, cells_csv, read_cells, study_tables
+from mpdt.train.study.protocols import protocols_table
+from mpdt.train.study.summary import CellResult, cells_csv, read_cells, studies_in, study_tables
 
 
-def report_tables(cells: Sequence[CellResult], study: str) -> list[Table]:
-    """All tables of a study, in the order of reading."""
+def report_tables(cells: Sequence[CellResult], studies: Sequence[str]) -> list[Table]:
+    """All tables of studies, in the order of reading."""
     verdicts = []
     if {cell.data for cell in cells} & {goal.data for goal in GOALS}:
-        verdicts = [goals_table(cells)]
-    if study == CLAIMED_OF:
+        verdicts = [goals_table(cells), protocols_table(cells)]
+    if CLAIMED_OF in studies:
         verdicts.append(claims_table(cells))
-    return [*verdicts, *study_tables(cells, study)]
+    return [*verdicts, *study_tables(cells, *studies)]
 
 
 def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
@@ -33,7 +34,8 @@ def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
         return
     from rich.console import Console
 
-    tables = report_tables(cells, folder.name)
+    studies = [study.name for study in studies_in(folder)]
+    tables = report_tables(cells, studies)
     width = None if sys.stdout.isatty() else WIDTH_WITHOUT_TERMINAL
     console = Console(file=sys.stdout, width=width)
     for table in rich_tables(tables):
@@ -47,4 +49,5 @@ def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
         write_bytes(output / "tables.md", markdown.encode(), like=b"# ")
         write_bytes(output / "tables.csv", cells_csv(cells).encode(), like=b"data,cell,seed")
         draw_study(cells, output)
-        draw_kept_prompts(cells, folder, output)
+        for study in studies_in(folder):
+            draw_kept_prompts(cells, study, output)

@@ -18,11 +18,18 @@ from typing import Literal
 
 from mpdt.draw.table import Table
 from mpdt.train.evaluate.score import MEAN, REFERENCES, ZERO
+from mpdt.train.study.protocols import (
+    FEW_SHOT,
+    NOTHING,
+    TRIALS,
+    X_AND_TRIALS,
+    ZERO_SHOT,
+    has_own_episodes,
+    own_episodes,
+)
 from mpdt.train.study.summary import CellResult, Row, summarise
 
 Verdict = Literal["confirmed", "reversed", "not confirmed", "not run"]
-ZERO_SHOT = ("nothing", "task id", "X", "X+rewards")
-FEW_SHOT = ("labelled steps", "demonstration")
 
 
 @dataclass(frozen=True)
@@ -105,31 +112,57 @@ class Goal:
     """What this project set out to reach on the unseen tasks of `data`.
 
     Attributes:
+        mean: least mean return; None = any.
         share: least mean normalised return of the training tasks in the same cell; None = any.
         published: MPDT's figure in the paper; None = not public.
+        success: least share of successes; None = any.
         reads: what a row may have read of the test tasks to count.
+        own: episodes of its own on a test task that a row has read; 0 = none.
     """
 
     data: str
-    mean: float
-    share: float | None
-    published: float | None
+    mean: float | None
+    share: float | None = None
+    published: float | None = None
     success: float | None = None
     reads: tuple[str, ...] = ZERO_SHOT
+    own: int = 0
 
     @property
     def name(self) -> str:
-        return self.data if self.reads == ZERO_SHOT else f"{self.data}, few-shot"
+        if self.own:
+            more = "X and " if self.reads == X_AND_TRIALS else ""
+            return f"{self.data}, {more}{own_episodes(self.own)}"
+        return self.data + {FEW_SHOT: ", few-shot", NOTHING: ", nothing read"}.get(self.reads, "")
+
+    def counts(self, row: Row) -> bool:
+        return row.reads in self.reads and has_own_episodes(row.method, self.own)
 
 
+# What the best published figures and prototypes made look reachable, not what was reached.
+# cheetah_dir and ant_dir: 0.97 and 0.95 of what the expert earns.
 GOALS = (
-    Goal("cheetah_dir", 850, 0.9, 50.32),
-    Goal("cheetah_vel", -35, 0.9, -139.88),
-    Goal("ant_dir", 400, 0.9, 121.84),
+    Goal("cheetah_dir", 1163, 0.9, 50.32),
+    Goal("cheetah_vel", -18.6, 0.9, -139.88),
+    Goal("ant_dir", 1093, 0.9, 121.84),
     Goal("ml10", 1000, 0.7, 371.01, success=0.3),
-    Goal("mt10", 3600, 0.9, 1317.52, success=0.9),
-    Goal("cheetah_vel", -30, None, -30.10, reads=FEW_SHOT),
-    Goal("ml10", 1200, None, None, reads=FEW_SHOT),
+    Goal("ml45", 1300, success=0.35),
+    Goal("ml45", None, success=0.3, reads=NOTHING),
+    Goal("mt10", 4000, 0.9, 1317.52, success=0.98),
+    Goal("mt50", None, 0.9, success=0.9),
+    Goal("cheetah_vel", -30, published=-30.10, reads=FEW_SHOT),
+    Goal("ml10", 1800, success=0.55, reads=FEW_SHOT),
+    Goal("ml45", 1500, success=0.55, reads=FEW_SHOT),
+    Goal("ml10", None, success=0.3, reads=X_AND_TRIALS, own=1),
+    Goal("ml10", None, success=0.45, reads=X_AND_TRIALS, own=3),
+    Goal("ml10", 2400, success=0.6, reads=X_AND_TRIALS, own=10),
+    Goal("ml10", 2000, success=0.5, reads=TRIALS, own=10),
+    Goal("ml45", None, success=0.45, reads=X_AND_TRIALS, own=3),
+    Goal("ml45", 2200, success=0.6, reads=X_AND_TRIALS, own=10),
+    Goal("ml45", None, success=0.5, reads=TRIALS, own=10),
+    Goal("cheetah_vel", -24, reads=TRIALS, own=3),
+    Goal("cheetah_vel", -20, reads=TRIALS, own=10),
+    Goal("ant_dir_endless", 970, reads=TRIALS, own=10),
 )
 
 
@@ -180,18 +213,19 @@ def goals_table(cells: Sequence[CellResult]) -> Table:
 
 
 def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
-    wanted = f"{goal.mean:g}" + (f", {goal.success:.0%}" if goal.success else "")
+    asked = [f"{goal.mean:g}"] if goal.mean is not None else []
+    wanted = ", ".join(asked + ([f"{goal.success:.0%}"] if goal.success else []))
     rows = _test_rows(cells, goal.data)
     # A cell that judges the weights of another one again says nothing of its training tasks.
     shares = {name: _training_share(cells, goal.data, name) for name in rows}
-    tried = [row for row in rows.values() if row.reads in goal.reads
+    tried = [row for row in rows.values() if goal.counts(row)
              and (goal.share is None or math.isfinite(shares[row.method]))]  # fmt: skip
     if not tried:
         return (goal.name, "not run", wanted, *["-"] * 8)
     best = max(tried, key=lambda row: row.mean)
     share = shares[best.method]
     met = (
-        best.mean >= goal.mean
+        (goal.mean is None or best.mean >= goal.mean)
         and (goal.share is None or share >= goal.share)
         and (goal.success is None or (best.success or 0.0) >= goal.success)
     )

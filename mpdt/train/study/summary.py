@@ -13,6 +13,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,16 +58,31 @@ class Row:
 
 
 def is_study(folder: Path) -> bool:
-    """Whether results of cells lie there, and not those of one run."""
-    return not (folder / "results.json").exists() and any(folder.glob("*.json"))
+    """Whether results of cells lie there or in folders below, and not those of one run."""
+    return not (folder / "results.json").exists() and bool(studies_in(folder))
+
+
+def studies_in(folder: Path) -> list[Path]:
+    """The folders of cells: this one, or those right below it."""
+    here = any(folder.glob("*.json"))
+    return [folder] if here else sorted({path.parent for path in folder.glob("*/*.json")})
 
 
 def read_cells(folder: Path) -> list[CellResult]:
-    """All cells of a folder, by name. Raises: FormatError, as `read_cell_files`."""
+    """All cells of a folder, by study and name. Raises: FormatError, as `read_cell_files`."""
+    paths = [path for study in studies_in(folder) for path in sorted(study.glob("*.json"))]
     return [
         CellResult(file.data.name, file.config.method, file.config.seed, file.scores, content)
-        for file, content in read_cell_files(sorted(folder.glob("*.json")))
+        for file, content in read_cell_files(paths)
     ]
+
+
+def pooled(method: str) -> str:
+    """Rows that differ in the seed of their trials alone are runs of one method.
+
+    ones-alone-t1 10 own episodes -> ones-alone 10 own episodes
+    """
+    return re.sub(r"^(\S+)-t\d+(?= |$)", r"\1", method)
 
 
 def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:
@@ -76,7 +92,7 @@ def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:
         own: dict[str, list[Score]] = {}
         for score in cell.scores:
             if score.block == block:
-                own.setdefault(score.method, []).append(score)
+                own.setdefault(pooled(score.method), []).append(score)
         for method, scores in own.items():
             runs = by_method.setdefault(method, [])
             if method not in REFERENCES or not runs:
@@ -103,7 +119,8 @@ def task_intervals(
     for cell in cells:
         for score in cell.scores:
             if score.block == block and score.task != MEAN:
-                found.setdefault(score.task, {}).setdefault(score.method, []).append(score)
+                methods = found.setdefault(score.task, {})
+                methods.setdefault(pooled(score.method), []).append(score)
     return {
         task: {method: _interval_of(method, scores) for method, scores in methods.items()}
         for task, methods in found.items()
@@ -148,21 +165,21 @@ def _matrix(
     return np.array([[run[task] for task in tasks] for run in at])
 
 
-def study_tables(cells: Sequence[CellResult], study: str = "") -> list[Table]:
-    """Two tables per data set; cells of the study without a result stand below as not run."""
+def study_tables(cells: Sequence[CellResult], *studies: str) -> list[Table]:
+    """Two tables per data set; cells of the studies without a result stand below as not run."""
     tables = []
+    asked = [cell for study in studies for cell in STUDIES.get(study, ())]
     for data in dict.fromkeys(cell.data for cell in cells):
         own = [cell for cell in cells if cell.data == data]
         present = {f"{cell.data}.{cell.label}.s{cell.seed}" for cell in own}
-        missing = [cell.name for cell in STUDIES.get(study, ()) if cell.data == data]
-        missing = [name for name in missing if name not in present]
+        missing = [cell.name for cell in asked if cell.data == data and cell.name not in present]
         notes = (f"not run: {', '.join(missing)}",) if missing else ()
         for block, title in (("test", "test tasks"), ("train", "training tasks")):
             rows = summarise(own, block)  # type: ignore[arg-type]
             if rows:
                 tables.append(_table(f"{data}: {title}", rows, block == "test", notes))
                 notes = ()
-    empty = {cell.data for cell in STUDIES.get(study, ())} - {cell.data for cell in cells}
+    empty = {cell.data for cell in asked} - {cell.data for cell in cells}
     if empty and tables:
         last = tables[-1]
         note = f"no cell run: {', '.join(sorted(empty))}"

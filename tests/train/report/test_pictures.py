@@ -49,6 +49,24 @@ def test_a_study_and_the_prompts_are_drawn(tmp_path, weights):
     assert {"P_c", "P_0", "P_1"} <= set(drawn(maps)[1])
 
 
+def test_own_episodes_are_a_line_per_row(tmp_path):
+    """One count alone makes no line, and no picture."""
+    rows = [("random", 0.0, None), *((f"m {count} own episodes", count / 10, "trials")
+            for count in (1, 3, 10))]  # fmt: skip
+    scores = tuple(
+        Score(block="test", task=task, method=method, mean=mean, low=mean, high=mean,
+              normalised=mean, success=mean, reads=reads)
+        for method, mean, reads in rows for task in ("a", MEAN)
+    )  # fmt: skip
+    made = draw_study([CellResult("d", "m", 0, scores, {})], tmp_path)
+    (path,) = [path for path in made if path.name == "d-trials.svg"]
+    classes, texts = drawn(path)
+    assert {"mean return", "success", "m", "own episodes on each task"} <= set(texts)
+    assert sum("k-c0" in one for one in classes) >= 2
+    few = CellResult("d", "m", 0, scores[:4], {})
+    assert "d-trials.svg" not in [path.name for path in draw_study([few], tmp_path / "few")]
+
+
 def test_what_has_nothing_to_show_is_left_out(tmp_path):
     silent = [replace(CELLS[0], content={"cell": "d.m.s0"})]
     made = draw_study(silent, tmp_path)

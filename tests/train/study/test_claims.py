@@ -11,7 +11,6 @@ from mpdt.train.study import claims
 from mpdt.train.study.claims import (
     CLAIMED_OF,
     CLAIMS,
-    FEW_SHOT,
     GOALS,
     Claim,
     Goal,
@@ -21,6 +20,7 @@ from mpdt.train.study.claims import (
     qualified_verdict,
 )
 from mpdt.train.study.plans import STUDIES
+from mpdt.train.study.protocols import FEW_SHOT, TRIALS, X_AND_TRIALS
 from mpdt.train.study.study import configure
 from mpdt.train.study.summary import CellResult, Row
 
@@ -93,7 +93,7 @@ def test_goals_count_only_what_reads_at_most_x_and_rewards(cells):
     by_name = {line[0]: line for line in table.rows}
     assert list(by_name) == [goal.name for goal in GOALS] and by_name["ml10"][1] == "not run"
     assert by_name["mt10"] == (
-        "mt10", "met", "3600, 90%", "3700.0 [3699.0, 3701.0], 95%",
+        "mt10", "missed", "4000, 98%", "3700.0 [3699.0, 3701.0], 95%",
         "A infer (X+rewards; seeds: 1; best of 1)", "0.92 of 0.9", "1317.52",
         "200.0", "-", "-", "4000.0",
     )  # fmt: skip
@@ -120,6 +120,19 @@ def goals_table_of(monkeypatch, cells, goal):
     return goals_table(cells).rows
 
 
+def test_a_goal_of_own_episodes_looks_at_its_own_count(cells, monkeypatch):
+    """Neither more of them nor a row that reads X as well."""
+    tried = [one for method, reads in (("a 3 own episodes", "trials"), ("b 10 own episodes",
+             "trials"), ("c X and 3 own episodes", "X+rewards, trials"))
+             for one in score(method, 9.0, reads=reads)]  # fmt: skip
+    tried = [CellResult("mt10", "A", 0, tuple(tried), {})]
+    (line,) = goals_table_of(monkeypatch, tried, Goal("mt10", 9, reads=TRIALS, own=3))
+    assert line[:2] == ("mt10, 3 own episodes", "met") and line[4].startswith("a 3 own episodes")
+    assert line[4].endswith("best of 1)")
+    (line,) = goals_table_of(monkeypatch, tried, Goal("mt10", 9, reads=X_AND_TRIALS, own=3))
+    assert line[0] == "mt10, X and 3 own episodes" and line[4].startswith("c X and 3")
+
+
 def test_few_shot_goals_look_at_other_rows(cells, monkeypatch):
     monkeypatch.setattr(claims, "GOALS", (Goal("mt10", 3900, None, None, reads=FEW_SHOT),))
     (line,) = goals_table(cells).rows
@@ -137,11 +150,10 @@ def test_claims_without_rows_are_not_run(cells):
 
 
 def test_a_study_of_these_data_begins_with_its_verdicts(cells):
-    titles = [table.title for table in report_tables(cells, CLAIMED_OF)]
-    assert titles[:3] == [
-        "Goals on unseen tasks", "Claims of the paper, and ours", "mt10: test tasks",
-    ]  # fmt: skip
-    titles = [table.title for table in report_tables(cells, "try")]
-    assert titles[:2] == ["Goals on unseen tasks", "mt10: test tasks"], "claims name another's rows"
+    titles = [table.title for table in report_tables(cells, [CLAIMED_OF])]
+    verdicts = ["Goals on unseen tasks", "By protocol, on unseen tasks"]
+    assert titles[:4] == [*verdicts, "Claims of the paper, and ours", "mt10: test tasks"]
+    titles = [table.title for table in report_tables(cells, ["try"])]
+    assert titles[:3] == [*verdicts, "mt10: test tasks"], "claims name another's rows"
     other = [CellResult("another", "A", 0, cells[0].scores, {})]
-    assert report_tables(other, "try")[0].title == "another: test tasks"
+    assert report_tables(other, ["try"])[0].title == "another: test tasks"

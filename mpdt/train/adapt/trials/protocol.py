@@ -42,6 +42,7 @@ LABELS: dict[TrialRow, str] = {
     "alone": "{} own episodes", "with_x": "X and {} own episodes",
     "race": "race of prompts, {} own episodes",
 }  # fmt: skip
+"""How a row is called; the table of protocols looks for the count at the end."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,65 @@
+"""The table of protocols: rows that read the same are compared, and nothing else."""
+
+import pytest
+
+from mpdt.train.evaluate.score import MEAN, Score
+from mpdt.train.study.protocols import PROTOCOLS, protocols_table, split_own
+from mpdt.train.study.summary import CellResult, pooled
+
+
+def cell(seed, rows):
+    scores = [
+        Score(block="test", task=task, method=method, mean=mean, low=mean - 1, high=mean + 1,
+              normalised=mean / 10, success=None, reads=reads)
+        for method, mean, reads in rows for task in (MEAN, "t")
+    ]  # fmt: skip
+    return CellResult("d", "m", seed, tuple(scores), {})
+
+
+@pytest.mark.parametrize(
+    ("method", "found"),
+    [("ones-alone 10 own episodes", ("ones-alone", 10)), ("m infer", ("m infer", 0)),
+     ("m X and 1 own episode", ("m X and", 1)), ("m 10 own episodes later", ("m 10 own episodes "
+                                                                              "later", 0))],
+)  # fmt: skip
+def test_the_number_of_own_episodes_is_read_off_the_name(method, found):
+    assert split_own(method) == found
+
+
+@pytest.mark.parametrize(
+    ("method", "found"),
+    [("ones-alone-t1 10 own episodes", "ones-alone 10 own episodes"), ("ones-t12", "ones"),
+     ("rank-10 infer", "rank-10 infer"), ("m from-t1x", "m from-t1x"), ("a b-t1", "a b-t1")],
+)  # fmt: skip
+def test_seeds_of_trials_are_runs_of_one_method(method, found):
+    assert pooled(method) == found
+
+
+def test_each_protocol_has_the_best_of_its_own_rows():
+    read = [
+        ("zero action", 1.0, None), ("m infer", 5.0, "X+rewards"), ("n infer", 4.0, "X+rewards"),
+        ("m 3 own episodes", 7.0, "trials"), ("m 10 own episodes", 9.0, "trials"),
+        ("m few-shot", 8.0, "labelled steps"),
+    ]  # fmt: skip
+    table = protocols_table([cell(0, read)])
+    told = {line[1]: (line[2], *line[5:]) for line in table.rows}
+    assert told == {
+        "zero action": ("1.0", "0.10", "-", "-", "-"),
+        "X and rewards, inferred": ("5.0", "0.50", "m infer", "1", "2"),
+        "3 own episodes": ("7.0", "0.70", "m 3 own episodes", "1", "1"),
+        "10 own episodes": ("9.0", "0.90", "m 10 own episodes", "1", "1"),
+        "labelled steps or a demonstration": ("8.0", "0.80", "m few-shot", "1", "1"),
+    }
+    absent = [one.name for one in PROTOCOLS if one.name not in told]
+    assert table.notes[1] == f"d: no row that reads {', '.join(absent)}"
+
+
+def test_trials_of_several_seeds_are_one_row():
+    cells = [
+        cell(seed, [(f"m-t{again} 3 own episodes", 2.0 + again, "trials")])
+        for seed in (0, 1) for again in (0, 1)
+    ]  # fmt: skip
+    ((_, name, mean, interval, _, reached, method, runs, of),) = protocols_table(cells).rows
+    assert (name, mean, reached) == ("3 own episodes", "2.5", "0.25")
+    assert (method, runs, of) == ("m 3 own episodes", "4", "1")
+    assert interval == "[1.6, 3.4]", "Student's t over four runs: 2.5 -+ 3.18 * 0.577 / 2"
