@@ -63,9 +63,11 @@ def is_study(folder: Path) -> bool:
 
 
 def studies_in(folder: Path) -> list[Path]:
-    """The folders of cells: this one, or those right below it."""
-    here = any(folder.glob("*.json"))
-    return [folder] if here else sorted({path.parent for path in folder.glob("*/*.json")})
+    """The folders of cells: this one, or those right below it that are no runs."""
+    if any(folder.glob("*.json")):
+        return [folder]
+    below = sorted({path.parent for path in folder.glob("*/*.json")})
+    return [one for one in below if not (one / "config.json").exists()]
 
 
 def read_cells(folder: Path) -> list[CellResult]:
