@@ -5,6 +5,7 @@
                   three seeds for the main ones, five on cheetah_vel; there one thing changed at a
                   time as well
     first-pass    what was run before with four blocks, at four times the cost (0018)
+    depth         MPDT-ones with 4, 12 and all 30 blocks, a GPT-2 without its weights, longer windows
     trials        the weights of one-block's MPDT-ones again, after own episodes (0033); a copy of a
                   run's folder under the cell's name saves training it anew
 
@@ -275,9 +276,27 @@ _TRIALS: tuple[Cell, ...] = (
     _trials("ml10", "race", [1, 3, 10], 0, 0),
 )  # fmt: skip
 
+def _deep(data: str, depth: int, changes: Mapping[str, Any] | None = None) -> Cell:
+    size = {} if data == _VEL else _LONG
+    return _one(data, "MPDT-ones", size, {"backbone": {"depth": depth}}, _STARTS, changes or {},
+                label=f"ones-depth-{depth}")  # fmt: skip
+
+
+# SmolLM2-135M has 30 blocks. GPT-2's shape needs its own weights, which no cache here has: its 12
+# blocks are drawn at random.
+_DEPTH: tuple[Cell, ...] = (
+    *(_deep(data, depth) for depth in (4, 12, 30) for data in (_VEL, "ml10")),
+    *(_one(data, "MPDT-ones", {} if data == _VEL else _LONG, _STARTS,
+           {"backbone": {"name": "random:gpt2", "depth": 12}}, label="ones-gpt2-12")
+      for data in (_VEL, "ml10")),
+    *(_one("ml10", "MPDT-ones", _LONG, _STARTS, {"sampler": {"window": window}},
+           label=f"ones-window-{window}") for window in (50, 500)),
+)  # fmt: skip
+
 STUDIES: Mapping[str, tuple[Cell, ...]] = {
     "one-block": _ONE_BLOCK,
     "fifty": _FIFTY,
+    "depth": _DEPTH,
     "trials": _TRIALS,
     "first-pass": _FIRST_PASS,
 }
