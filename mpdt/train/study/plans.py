@@ -5,7 +5,7 @@
                   three seeds for the main ones, five on cheetah_vel; there one thing changed at a
                   time as well
     first-pass    what was run before with four blocks, at four times the cost (0018)
-    depth         MPDT-ones with 4, 12 and all 30 blocks, a GPT-2 without its weights, longer windows
+    depth         MPDT-ones with 4, 12 and all 30 blocks, GPT-2's shape, longer windows
     trials        the weights of one-block's MPDT-ones again, after own episodes (0033); a copy of a
                   run's folder under the cell's name saves training it anew
 
@@ -275,6 +275,7 @@ _TRIALS: tuple[Cell, ...] = (
     *(_trials("cheetah_vel", "alone", [1, 3, 10], seed, 0) for seed in (0, 1, 2)),
     _trials("ml10", "race", [1, 3, 10], 0, 0),
 )  # fmt: skip
+
 
 def _deep(data: str, depth: int, changes: Mapping[str, Any] | None = None) -> Cell:
     size = {} if data == _VEL else _LONG
