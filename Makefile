@@ -12,7 +12,8 @@
 #              results/trust/*.json and docs/trust.md
 # make ecosystem   exports read by the packages they are made for, in build/ecosystem; writes
 #              results/ecosystem.json and docs/ecosystem.md; then the same for trackers
-# make results tables and pictures under docs/results, from the cells in results/studies
+# make results tables and pictures under docs/results, from the cells in results/studies, and the
+#              leaderboard: results/leaderboard.csv, docs/leaderboard.md
 # make pages   the pages in a headless Chromium
 # make site    the documentation as a site, build/site/html, walked by a headless Chromium
 # make docs    the references under docs/reference/ and the list of all options, from the code
@@ -150,6 +151,7 @@ site: build/site-venv/ready
 
 results: .venv/ready
 	$(BIN)/mpdt-train report results/studies -o docs/results
+	$(BIN)/python tools/write_leaderboard.py
 
 clean:
 	rm -rf .venv demo

@@ -11,6 +11,7 @@
     mpdt-train settings --preset paper                   every setting and its value
     mpdt-train watch runs/ml10-base                      what a run is doing
     mpdt-train report runs/ml10-base                     the tables of a finished run
+    mpdt-train submit runs/ml10-base                     its rows go to a leaderboard
     mpdt-train adapt runs/ml10-base --data ml10.h5 --adapt.starts infer     no training
     mpdt-train bundle runs/ml10-base -o ml10-policy      a folder that acts anywhere
     mpdt-train rollout runs/ml10-base -o ml10-policy.h5  its episodes as data
@@ -50,6 +51,7 @@ from mpdt.train.options import (
     Run,
     Settings,
     Study,
+    Submit,
     Watch,
     overview,
 )
@@ -165,6 +167,10 @@ def execute(command: Command, rest: list[str]) -> int:
         from mpdt.train.run.watch import watch
 
         return watch(command.folder, command.once, command.json)
+    if isinstance(command, Submit):
+        from mpdt.train.board.show import submit_and_show
+
+        return submit_and_show(command)
     if isinstance(command, Completion):
         return _completion(command)
     return _study(command) if isinstance(command, Study) else _report(command)

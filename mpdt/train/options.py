@@ -177,6 +177,35 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Submit:
+    """Add the rows of finished runs, cells of a study or judged policies to a leaderboard.
+
+    A row is one method with one seed on one data set under one protocol (what was read of the test
+    tasks). Only data that datasets.lock holds counts, so that others can make the row again.
+
+    Examples:
+      mpdt-train submit runs/ml10-base
+      mpdt-train submit runs/ml10-mine --as mine --board results/leaderboard.csv
+      mpdt-train submit mine.json --lock datasets.lock
+    """
+
+    results: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of runs, or files with a result."""
+    board: Path = Path("leaderboard.csv")
+    """The leaderboard; begun if it is not there."""
+    lock: Path | None = None
+    """The lock that has to hold the data; default: datasets.lock beside datasets.yaml."""
+    label: Annotated[str | None, tyro.conf.arg(name="as")] = None
+    """Another name for the method, where the board has a row of the same name and seed."""
+    replace: bool = False
+    """Put these rows in the place of those with the same name and seed."""
+    json: bool = False
+    """Print the rows that were added as JSON."""
+    verbose: Annotated[bool, tyro.conf.arg(aliases=["-v"])] = False
+    """Show tracebacks."""
+
+
+@dataclass(frozen=True)
 class Watch:
     """Show what a run is doing: updates, losses, time left; its tables when it ends.
 
@@ -228,6 +257,7 @@ Command = (
     | EvaluatePolicy
     | Study
     | Report
+    | Submit
     | Watch
     | Bundle
     | Rollout
@@ -237,8 +267,9 @@ Command = (
 )
 COMMANDS: dict[str, type[Command]] = {
     "run": Run, "methods": Methods, "settings": Settings, "adapt": Adapt, "evaluate": Evaluate,
-    EVALUATE_POLICY: EvaluatePolicy, "study": Study, "report": Report, "watch": Watch,
-    "bundle": Bundle, "rollout": Rollout, "push": Push, "pull": Pull, "completion": Completion,
+    EVALUATE_POLICY: EvaluatePolicy, "study": Study, "report": Report, "submit": Submit,
+    "watch": Watch, "bundle": Bundle, "rollout": Rollout, "push": Push, "pull": Pull,
+    "completion": Completion,
 }  # fmt: skip
 
 

@@ -108,7 +108,8 @@ def read_results_file(path: Path) -> dict[str, Any]:
     except (ValueError, KeyError) as error:
         if isinstance(error, FormatError):
             raise
-        raise FormatError("not the results of a run", where=str(path), found=str(error)) from error
+        found = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
+        raise FormatError("not the results of a run", where=str(path), found=found) from error
     check_digest(results, str(path), _AGAIN)
     return results
 

@@ -10,6 +10,8 @@ from typing import Any
 from mpdt.draw.table import rich_tables
 from mpdt.train.evaluate.tables import build_tables
 from mpdt.train.run.config import TrainConfig, to_plain
+from mpdt.train.run.methods import METHODS, apply_method
+from mpdt.train.run.presets import PRESETS, get_preset
 from mpdt.train.run.results import scores_in
 
 WIDTH_WITHOUT_TERMINAL = 160  # columns; tables in a log file are not folded at 80
@@ -59,3 +61,21 @@ def _option(key: str, value: Any) -> str:
         return f"--{name}" if value else f"--{part}.no-{last}"
     words = [str(item) for item in value] if isinstance(value, list | tuple) else [str(value)]
     return " ".join([f"--{name}", *words])
+
+
+def command_text(config: TrainConfig, data: str) -> str:
+    """The shortest `mpdt-train --data ...` whose settings are these."""
+    texts = []
+    for preset in PRESETS:
+        words = ["mpdt-train", "--data", data]
+        base = get_preset(preset)
+        if preset != "base":
+            words += ["--preset", preset]
+        if config.method in METHODS and config.method != base.method:
+            words += ["--method", config.method]
+            base = apply_method(base, config.method)
+        before = dict(_leaves(to_plain(base)))
+        words += [_option(key, value) for key, value in _leaves(to_plain(config))
+                  if before[key] != value]  # fmt: skip
+        texts.append(" ".join(words))
+    return min(texts, key=len)

@@ -69,6 +69,15 @@ PROTOCOLS = (
 )
 
 
+def protocol_of(reads: str, method: str) -> str:
+    """The name of the protocol of a row that read `reads`."""
+    count = split_own(method)[1]
+    for one in PROTOCOLS:
+        if reads in one.reads and one.own == count:
+            return one.name
+    return f"X, rewards, {own_episodes(count)}" if reads in X_AND_TRIALS else own_episodes(count)
+
+
 def protocols_table(cells: Sequence[CellResult]) -> Table:
     """Per data set the references, then of each protocol the row that earns most."""
     columns = ("data", "read of an unseen task", "mean return", "95 % interval", "success",

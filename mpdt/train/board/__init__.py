@@ -1,0 +1,1 @@
+"""The leaderboard: results of runs, studies and others' policies as rows of one CSV file."""
