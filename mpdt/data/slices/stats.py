@@ -1,7 +1,6 @@
 """Statistics of data columns over training tasks: what a normaliser may know.
 
-Exact, also the quantiles, in bounded memory: columns are read a few at a time from the map,
-as many as fit the budget (one column of 5 million rows is 40 MB in float64).
+Exact, also the quantiles, in memory that does not grow with the steps: `columns.py` has how.
 """
 
 from __future__ import annotations
@@ -13,17 +12,16 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.data.slices.columns import table_of
 from mpdt.data.store.dataset import Dataset
-from mpdt.data.store.layout import STATS, STATS_FIELDS
+from mpdt.data.store.layout import STATS_FIELDS
 from mpdt.data.store.tables import Float64, Int64, Stats
-from mpdt.data.workers.threads import in_order
 from mpdt.errors import DataError
 
 _Value = TypeVar("_Value")
-_QUANTILES = {name: int(name[1:]) / 100 for name in STATS if name.startswith("q")}
 
 
-def compute_stats(dataset: Dataset, slice: str = "", budget_bytes: int = 1 << 28) -> Stats:
+def compute_stats(dataset: Dataset, slice: str = "") -> Stats:
     """Count, mean, std, min, max and quantiles per column, over tasks of role train or both.
 
     `observations` counts T+1 rows per episode, the final one included; `returns` has one row
@@ -33,7 +31,6 @@ def compute_stats(dataset: Dataset, slice: str = "", budget_bytes: int = 1 << 28
     Args:
         slice: name of a stored slice to look at, "" = the whole file. Test-only tasks in it
             are left out.
-        budget_bytes: about the most memory to hold at a time; at least one column is held.
     Raises: UsageError for an unknown slice, DataError where no training episode is left.
     """
     train = dataset.tasks.train_rows
@@ -47,10 +44,10 @@ def compute_stats(dataset: Dataset, slice: str = "", budget_bytes: int = 1 << 28
     observation_rows = _runs(episodes.obs_start[ids], lengths + 1)
     step_rows = _runs(episodes.start[ids], lengths)
     fields = {
-        "observations": _table(steps.observations, observation_rows, budget_bytes),
-        "actions": _table(steps.actions, step_rows, budget_bytes),
-        "rewards": _table(steps.rewards, step_rows, budget_bytes),
-        "returns": _table(episodes.returns[ids], [(0, len(ids))], budget_bytes),
+        "observations": _table(steps.observations, observation_rows),
+        "actions": _table(steps.actions, step_rows),
+        "rewards": _table(steps.rewards, step_rows),
+        "returns": _table(episodes.returns[ids], [(0, len(ids))]),
     }
     return Stats(
         fields=fields,
@@ -110,49 +107,9 @@ def _runs(starts: Int64, lengths: Int64) -> list[tuple[int, int]]:
     return runs
 
 
-def _table(
-    array: NDArray[Any], runs: list[tuple[int, int]], budget_bytes: int
-) -> dict[str, Float64]:
-    count = sum(stop - start for start, stop in runs)
-    width = 1 if array.ndim == 1 else array.shape[1]
-    table = {name: np.empty(width) for name in STATS}
-    table["count"][:] = count
-    for first, block in _column_blocks(array, width, runs, count, budget_bytes):
-        columns = np.s_[first : first + len(block)]
-        # A row of `block` is one column of the data, contiguous: numpy sums it pairwise, so
-        # the result does not depend on how many columns are held at a time.
-        table["mean"][columns] = mean = block.mean(axis=1)
-        table["min"][columns] = block.min(axis=1)
-        table["max"][columns] = block.max(axis=1)
-        # Column by column: with an axis numpy would select along the far one of a whole copy.
-        quantiles = np.stack(list(in_order(_quantiles, block)), 1)
-        for name, values in zip(_QUANTILES, quantiles, strict=True):
-            table[name][columns] = values
-        block -= mean[:, None]
-        np.square(block, out=block)
-        table["std"][columns] = np.sqrt(block.mean(axis=1))
+def _table(array: NDArray[Any], runs: list[tuple[int, int]]) -> dict[str, Float64]:
+    table = table_of(array, runs)
     # The mean of equal numbers may be off by a rounding, which would leave a spread.
     constant = table["min"] == table["max"]
     table["mean"][constant], table["std"][constant] = table["min"][constant], 0.0
     return table
-
-
-def _quantiles(row: Float64) -> Float64:
-    return np.asarray(np.quantile(row, list(_QUANTILES.values())))
-
-
-def _column_blocks(
-    array: NDArray[Any], width: int, runs: list[tuple[int, int]], count: int, budget_bytes: int
-) -> Iterator[tuple[int, Float64]]:
-    """(first column, (columns, rows) float64), the rows of all runs one after another."""
-    # Three times: np.quantile partitions a copy, and the caller holds the block meanwhile.
-    held = max(1, budget_bytes // (3 * 8 * count))
-    for first in range(0, width, held):
-        last = min(first + held, width)
-        block = np.empty((last - first, count))
-        row = 0
-        for start, stop in runs:
-            key = slice(start, stop), *([slice(first, last)] if array.ndim > 1 else [])
-            block[:, row : row + stop - start] = array[key].T
-            row += stop - start
-        yield first, block

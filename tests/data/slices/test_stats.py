@@ -130,7 +130,7 @@ def test_inside_the_writers_finish(tmp_path):
     assert made.stats["returns"]["mean"].tolist() == [5]
 
 
-def test_any_budget_gives_the_numbers_of_numpy_on_everything(tmp_path):
+def test_they_are_the_numbers_of_numpy_on_everything(tmp_path):
     """The slow twin: gather all rows of the training tasks in RAM and ask numpy once."""
     rng = np.random.default_rng(0)
     lengths = (1, 2, 30, 7, 90)
@@ -144,10 +144,6 @@ def test_any_budget_gives_the_numbers_of_numpy_on_everything(tmp_path):
     rows = np.concatenate([e.observations for e in kept]).astype(np.float64)
     wanted = {"mean": rows.mean(0), "std": rows.std(0), "min": rows.min(0), "max": rows.max(0),
               "q01": np.quantile(rows, 0.01, 0), "q90": np.quantile(rows, 0.9, 0)}  # fmt: skip
-    whole = compute_stats(made).fields
-    single = compute_stats(made, budget_bytes=1).fields
+    found = compute_stats(made).fields["observations"]
     for name, values in wanted.items():
-        np.testing.assert_allclose(whole["observations"][name], values, rtol=1e-12)
-    for field, table in whole.items():
-        for name, values in table.items():
-            np.testing.assert_array_equal(values, single[field][name], err_msg=f"{field} {name}")
+        np.testing.assert_allclose(found[name], values, rtol=1e-12)
