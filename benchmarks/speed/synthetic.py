@@ -32,12 +32,15 @@ POLICY = bytes(range(32))
 EXPERT = int(Quality.EXPERT)
 
 
+_EPISODES = 1 << 15  # of a pool, none like another
+
+
 class Numbers:
     """A pool of random rows; an episode is a view of it, so that making one costs nothing."""
 
     def __init__(self, family: Family, horizon: int) -> None:
         generator = np.random.default_rng(0)
-        rows = 4 * horizon
+        rows = _EPISODES + horizon
         self.family, self.horizon = family, horizon
         self._observations = generator.standard_normal((rows, family.observation_size), np.float32)
         actions = generator.uniform(-1, 1, (rows, family.action_size))
@@ -47,7 +50,7 @@ class Numbers:
         self._never = np.zeros(horizon, bool)
 
     def episode(self, task: int, number: int, key: tuple[int, int, int, int, int]) -> Episode:
-        first = (7 * number) % (3 * self.horizon - 1)
+        first = number % _EPISODES
         steps = slice(first, first + self.horizon)
         return Episode(
             observations=self._observations[first : first + self.horizon + 1],
@@ -60,8 +63,8 @@ class Numbers:
 
     def of_block(self, block: Block) -> list[Episode]:
         """What a worker would have simulated."""
-        keys = block.keys(self.family, 0)
-        return [self.episode(block.task.index, key.row, key.spawn_key) for key in keys]
+        keys, before = block.keys(self.family, 0), 1000 * block.task.index + 50 * block.number
+        return [self.episode(block.task.index, before + key.row, key.spawn_key) for key in keys]
 
 
 def policies(family: Family) -> list[PolicyInfo]:

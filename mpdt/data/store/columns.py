@@ -106,6 +106,7 @@ class StepTable:
         target: Path,
     ) -> None:
         self.target, self._arrays, self._where = target, arrays, str(target)
+        self._rows = [array.shape[1:] for _, array in arrays]  # h5py asks the file each time
         self._planned = (num_episodes, num_steps)
         self._waiting: list[list[Any]] = [[] for _ in arrays]
         self._first, self._waiting_bytes = (0, 0), 0
@@ -127,11 +128,11 @@ class StepTable:
         """
         start, length = self.num_steps, episode.length
         self._check(episode, task_row)
-        for (name, array), waiting in zip(self._arrays, self._waiting, strict=True):
+        for (name, _), shape, waiting in zip(self._arrays, self._rows, self._waiting, strict=True):
             value = getattr(episode, name.removeprefix("sim_"))
-            if value.shape[1:] != array.shape[1:]:
+            if value.shape[1:] != shape:
                 raise ShapeError(f"wrong {name}", where=self._where,
-                                 expected=f"rows of {array.shape[1:]}",
+                                 expected=f"rows of {shape}",
                                  found=str(value.shape[1:]))  # fmt: skip
             waiting.append(value)
             self._waiting_bytes += value.nbytes
