@@ -27,6 +27,7 @@ from mpdt.data.collect.runner import BlockReport, Gap, report_part
 from mpdt.data.lock.keeper import LockKeeper, plain_spec
 from mpdt.data.spec.change import changed_keys
 from mpdt.data.spec.entry import spec_hash
+from mpdt.data.spec.family import decisive, own_definition
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 from mpdt.errors import BusyError, DataError, FormatError, StorageError, quoted
@@ -117,7 +118,7 @@ def _collect(
             folder.discard()  # of a collector that was killed just before it would have
         return Collected(finished, is_new=False)
     check_space(plan, target)
-    with folder.locked():
+    with folder.locked(), folder.kept_if_worth():
         if restart:
             folder.clear()
         elif finished := find_finished(job, target):  # by another collector, meanwhile
@@ -154,6 +155,15 @@ def find_finished(job: Job, target: Path) -> Dataset | None:
             where=str(target),
             hint="choose another file with -o; --restart replaces it",
         )
+    told = own_definition(job.plan.family)
+    if told and (differ := changed_keys(decisive(dataset.definition), decisive(told))):
+        raise DataError(
+            f"the target was made of another definition of {dataset.family}: "
+            + "; ".join(differ[:4])
+            + (f"; and {len(differ) - 4} more" if differ[4:] else ""),
+            where=str(target),
+            hint="--restart makes it again from this one; -o writes another file",
+        )
     if not (changed := changed_keys(dict(dataset.spec), plain_spec(job.spec))):
         if {policy.hash for policy in job.policies} == {p.hash for p in dataset.policy_infos()}:
             return dataset
@@ -173,9 +183,11 @@ def describe_plan(plan: Plan) -> dict[str, Any]:
     """Content of plan.json: what decides the bytes of the parts, but for who acts in them."""
     # Neither decides a byte of a part, and a version that claimed too much can be raised.
     spec = {k: v for k, v in plain_spec(plan.spec).items() if k not in ("version", "license")}
+    told = own_definition(plan.family)
     return {
         "spec": spec,
         "spec_hash": spec_hash(spec),
+        **({"definition": decisive(told)} if told else {}),
         "versions": decisive_versions(),
         # Which references are on record may change between two runs, and changes no part.
         "blocks": [block.label for block in plan.blocks if block.kind != "reference"],

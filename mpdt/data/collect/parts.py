@@ -31,7 +31,7 @@ from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.digest import episode_digest
 from mpdt.data.store.tables import Steps
 from mpdt.disk import disk, holding, replacing, write_bytes
-from mpdt.errors import DataError, FormatError, MissingFileError
+from mpdt.errors import DataError, FormatError, MissingFileError, MpdtError
 from mpdt.reading import read_json
 
 _COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
@@ -103,6 +103,17 @@ class PartsFolder:
         with holding(self.target, amends=True, wait_s=0):
             if self.path.is_dir():
                 self.delete()
+
+    @contextmanager
+    def kept_if_worth(self) -> Iterator[None]:
+        """Delete the folder, if what is done inside fails before any block is finished."""
+        try:
+            yield
+        except MpdtError:
+            with suppress(OSError):
+                if not any((self.path / "blocks").glob("*.npz")):
+                    self.delete()
+            raise
 
     def delete(self) -> None:
         """Delete the folder; the caller holds its target. A leftover is harmless: no error."""

@@ -118,7 +118,7 @@ class MixedPolicy:
             actions = np.array(answer, dtype=np.float64)
         except MpdtError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             found = f"{type(error).__name__}: {error}"[:200]
             raise SimulatorError("the script raised", where=where, found=found) from error
         wanted = (len(observations), self._family.action_size)

@@ -123,7 +123,7 @@ class EnvBatch:
                     successes[row] = info["success"]
         except MpdtError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise raised(self._family, self._tasks[row], f"step {self._num_steps - 1}", error
                          ) from error  # fmt: skip
         rewards, over = np.zeros(self.num_rows), np.ones(self.num_rows, np.bool_)
@@ -135,6 +135,7 @@ class EnvBatch:
             over[ended] = True
             self._check_finite(rewards)
         if ended:
+            check_end(self._family, self._tasks[ended[0]], self._num_steps - 1)
             self._running = [row for row in running if row not in ended]
         return StepResult(
             self._observations, rewards, over, successes if self._has_success else None
@@ -207,7 +208,7 @@ def broken(
     return SimulatorError(what, where=where, expected=expected, found=found, hint=hint)
 
 
-def raised(family: Family, task: Task, at: str, error: Exception) -> SimulatorError:
+def raised(family: Family, task: Task, at: str, error: BaseException) -> SimulatorError:
     """The error for an environment that raised one."""
     text = " ".join(str(error).split())[:200]
     return broken(family, task, at, "the environment raised", f"{type(error).__name__}: {text}")
@@ -220,7 +221,7 @@ def told(family: Family, task: Task, at: str) -> Iterator[None]:
         yield
     except MpdtError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise raised(family, task, at, error) from error
 
 
@@ -252,6 +253,13 @@ def check_spaces(
                      f"{actions.low.tolist()} to {actions.high.tolist()}"[:120],
                      f"{family.action_low} to {family.action_high} in every component",
                      "one pair of bounds holds for all: scale the others inside")  # fmt: skip
+
+
+def check_end(family: Family, task: Task, step: int) -> None:
+    """Raises: SimulatorError where an episode ends before its horizon and none is to."""
+    if not family.ends_early:
+        raise broken(family, task, f"step {step}", "the episode ends here", "terminated",
+                     "none before the horizon: ends_early is false")  # fmt: skip
 
 
 def check_goals(family: Family, tasks: Sequence[Task], goals: Sequence[FloatArray]) -> None:

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from mpdt.data.sim.batch import FloatArray, StepResult
-from mpdt.data.sim.single import broken, check_goals, check_spaces, told
+from mpdt.data.sim.single import broken, check_end, check_goals, check_spaces, told
 from mpdt.data.spec.family import Family, Task, resolve
 from mpdt.errors import SimulatorError
 from mpdt.seeding import SeedKey
@@ -77,6 +77,8 @@ class VectorBatch:
         rows = (self.num_rows,)
         ended = self._checked("termination", terminations, rows).astype(np.bool_)
         cut = self._checked("truncation", truncations, rows).astype(np.bool_)
+        if (first := ended & ~self._ended).any():
+            check_end(self._family, self._tasks[int(first.argmax())], self._num_steps - 1)
         result = StepResult(
             self._checked("observation", observations, (*rows, self.observation_size)),
             self._checked("reward", rewards, rows),

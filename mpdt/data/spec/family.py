@@ -238,6 +238,17 @@ def definition(family: Family) -> dict[str, Any]:
     return found
 
 
+def decisive(told: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a definition makes other data, as lines that can be compared; empty for none."""
+    found = {k: v for k, v in told.items() if k not in ("module", "fingerprint", "about", "tasks")}
+    for task in told.get("tasks", ()):
+        goal = json.dumps(task["goal"])
+        if len(task["goal"]) > 4:
+            goal = hashlib.sha256(goal.encode()).hexdigest()[:12]
+        found[f"task {task['index']}"] = f"{task['name']} {task['role']} {goal}"
+    return found
+
+
 def own_definition(family: Family) -> dict[str, Any]:
     """`definition` of one's own family; nothing of those that mpdt ships, which it knows."""
     return definition(family) if family.module else {}

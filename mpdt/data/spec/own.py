@@ -91,7 +91,7 @@ def load_family(name: str, entry: Mapping[str, Any], folder: str) -> Family:
         raise SpecError(error.what, where=error.where, hint=error.hint) from error
     except MpdtError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise SpecError(f"it raised {type(error).__name__}: {error}"[:200], where=words) from error
     if not isinstance(found, Family):
         raise SpecError("no family", where=words, expected="a mpdt.Family, or a function of "

@@ -8,11 +8,12 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from own_families import forgotten, line
+from own_families import TASKS, forgotten, line
 
 import mpdt
-from mpdt.data.collect.collect import collect
+from mpdt.data.collect.collect import collect, describe_plan
 from mpdt.data.collect.job import make_job
+from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.exchange import formats
 from mpdt.data.exchange.incoming import store
 from mpdt.data.exchange.selection import Selection
@@ -123,3 +124,24 @@ def test_workers_know_a_family_of_a_module_beside_the_yaml(
         (tmp_path / str(workers)).mkdir()
         found.append(made(tmp_path / str(workers), workers=workers).content_hash)
     assert found[0] == found[1]
+
+
+def test_another_definition_is_other_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither a finished file nor parts are taken for those of a family that has changed."""
+    monkeypatch.chdir(tmp_path)
+    mpdt.register_family(line(about="A"))
+    target, few = tmp_path / "mine.h5", {"episodes": EpisodeCounts(random=4), "tta": {}}
+    job = make_job(spec(**few))
+    assert collect(job, target, workers=0).is_new
+    mpdt.register_family(line(about="B"))
+    assert not collect(make_job(spec(**few)), target, workers=0).is_new
+    moved = (*TASKS[:2], mpdt.Task("far", 2, "test", (5.0,)))
+    mpdt.register_family(line(tasks=moved))
+    with pytest.raises(DataError, match=r"another definition of line: task 2 .far test \[4.0\]"):
+        collect(make_job(spec(**few)), target, workers=0)
+    folder = PartsFolder(tmp_path / "next.h5")
+    with folder.locked():
+        folder.agree(describe_plan(job.plan))
+        (folder.path / "blocks/left.npz").write_bytes(b"")
+    with pytest.raises(DataError, match=r"made for another plan: definition.task 2"):
+        collect(make_job(spec(**few)), folder.target, workers=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from own_families import TASKS, Line, forgotten, line, make, there
 
 import mpdt.testing
 from mpdt.data.cli import main
+from mpdt.data.sim.single import EnvBatch
 from mpdt.data.verify import family as module
 from mpdt.data.verify.family import check_family
 from mpdt.data.verify.finding import Outcome
@@ -56,6 +58,12 @@ class Broken(Line):
         return observation, reward, over or (self.how == "ends" and self.steps == 5), cut, info
 
 
+def batch_that_ends(family: Any, tasks: Any, options: Any) -> EnvBatch:
+    """Nobody looks at what a batch of one's own answers."""
+    made = {"env": lambda task: Broken("ends", task.goal[0]), "batch": None, "ends_early": True}
+    return EnvBatch(replace(family, **made), tasks, options)
+
+
 def rules(how: str = "", **changes: Any) -> dict[str, Any]:
     changes = {"env": lambda task: Broken(how, task.goal[0])} | changes if how else changes
     return {one.id: one for one in check_family(line(**changes), worker=False)}
@@ -82,7 +90,9 @@ def test_a_sound_family_passes(how: str) -> None:
         ("neighbours", "neighbours", "task left, step 4, row 0: another", {}),
         ("numpy.random", "globals", "it draws from numpy.random: use env.np_random", {}),
         ("random", "globals", "it draws from random: use env.np_random", {}),
-        ("ends", "endings", "task left, step 4, row 0: it ends", {"ends_early": False}),
+        ("ends", "stepping", "task left, step 4: the episode ends here", {"ends_early": False}),
+        ("", "endings", "task left, step 4, row 0: it ends",
+         {"ends_early": False, "env": None, "batch": batch_that_ends}),
         ("goal", "tasks", "reset: steps [1] is number 0 of the goal", {}),
         ("bounds", "stepping", "task left, step 2: a number of the observation is not", {}),
         ("", "tasks", "tasks left and right are the same", {"env": lambda task: Line(1.0)}),
