@@ -6,8 +6,8 @@
                   time as well
     first-pass    what was run before with four blocks, at four times the cost (0018)
     depth         MPDT-ones with 4, 12 and all 30 blocks, GPT-2's shape, longer windows
-    trials        the weights of one-block's MPDT-ones again, after own episodes (0033); a copy of a
-                  run's folder under the cell's name saves training it anew
+    trials        the weights of one-block's and fifty's MPDT-ones again, after own episodes (0033);
+                  a copy of a run's folder under the cell's name saves training it anew
 
 Sizes were chosen by cost, not by returns (docs/decisions/0011).
 """
@@ -264,7 +264,7 @@ def _trials(data: str, row: str, counts: list[int], seed: int, trial_seed: int) 
     adapt = {"starts": ["trials"],
              "trials": {"episodes": counts, "rows": [row], "seed": trial_seed}}  # fmt: skip
     judged = {"evaluation": {"blocks": ["test"], "episodes": 20}}
-    size = {} if data == "cheetah_vel" else _LONG
+    size = {"cheetah_vel": {}, "ml45": _FIFTY_SIZE}.get(data, _LONG)
     return _one(data, "MPDT-ones", size, {"adapt": adapt}, judged, seed=seed,
                 label=f"ones-{row.replace('_', '-')}-t{trial_seed}")  # fmt: skip
 
@@ -274,6 +274,7 @@ _TRIALS: tuple[Cell, ...] = (
       for trial_seed in (0, 1, 2) for row in ("with_x", "alone") for seed in (0, 1, 2)),
     *(_trials("cheetah_vel", "alone", [1, 3, 10], seed, 0) for seed in (0, 1, 2)),
     _trials("ml10", "race", [1, 3, 10], 0, 0),
+    *(_trials("ml45", row, [1, 3, 10], 0, 0) for row in ("with_x", "alone")),
 )  # fmt: skip
 
 
