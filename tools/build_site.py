@@ -26,6 +26,7 @@ SETTINGS = ROOT / "tools/site"
 OUTSIDE = {
     "README.md": "index.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md",
     "SECURITY.md": "security.md", "policies/README.md": "policies/index.md",
+    "examples/families/README.md": "families.md",
 }  # fmt: skip
 # Repository folders and files that a page links to, and the page that shows them.
 STANDS_FOR = {"docs/decisions": "decisions/index.md", "policies": "policies/index.md"}
