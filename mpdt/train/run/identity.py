@@ -113,6 +113,8 @@ def _judged_on(config: TrainConfig, material: Material) -> dict[str, Any]:
         "references": hashlib.sha256(repr(tasks.references).encode()).hexdigest(),
         "options": dict(material.options),
         "horizon": material.horizon,
+        # Judged again where the simulator is.
+        **({} if material.family.simulates else {"simulates": False}),
     }
 
 

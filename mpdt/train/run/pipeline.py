@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from mpdt.data.sim.simulators import not_installed
 from mpdt.data.store.proof import BackgroundProof
 from mpdt.disk import disk, write_bytes
 from mpdt.draw.table import markdown_page
@@ -31,6 +32,7 @@ from mpdt.train.evaluate.tables import NORMALISED, build_tables
 from mpdt.train.fit.data import Material
 from mpdt.train.fit.group import Group
 from mpdt.train.fit.trained import Trained
+from mpdt.train.fit.validation import PHASE
 from mpdt.train.run.begin import Beginning
 from mpdt.train.run.build import build
 from mpdt.train.run.config import to_plain
@@ -86,6 +88,8 @@ def run_pipeline(
     progress.say(_describe(prepared.material))
     keeper = None
     if keep is not None:
+        if not prepared.material.family.simulates:
+            raise not_installed(prepared.material.family)
         facts = {"run": identity.hashes["training"]}
         keeper = Keeper(keep, folder.path.name, facts, progress.say)
     done = None if restart or keeper else find_results(folder.path, identity.hashes)
@@ -162,6 +166,9 @@ def _train_and_judge(trainer: Trainer, keeper: Keeper | None = None) -> dict[str
     if not trained.complete:
         progress.say(f"training ended by --time-limit-s: {_updates(trained)}")
     began_s = time.monotonic()
+    if not prepared.material.family.simulates:
+        for line in _not_judged(trainer):
+            progress.say(line)
     judge = Judge(trained, prepared.config, progress, folder.log, keeper, folder.trials)
     scores = judge.scores()
     judging_s = time.monotonic() - began_s - judge.adaptation_s
@@ -193,6 +200,17 @@ def _train_and_judge(trainer: Trainer, keeper: Keeper | None = None) -> dict[str
     if trained.complete:
         trainer.follower.judged(results)
     return results
+
+
+def _not_judged(trainer: Trainer) -> Iterator[str]:
+    material = trainer.learner.prepared.material
+    error = not_installed(material.family)
+    yield f"not judged: {error.what}; {error.hint}"
+    looks = [r["action_error"] for r in trainer.folder.log.records() if r["phase"] == PHASE]
+    if looks:
+        yield f"action error on validation episodes: {looks[-1]:.4g}"
+    elif not material.validation_ids:
+        yield "mpdt-data split FILE --validation 0.1, and --validation NAME here: an action error"
 
 
 def _leave_policy(

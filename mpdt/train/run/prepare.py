@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from mpdt.data.sim.simulators import not_installed
 from mpdt.train.fit.data import Material, load_material
 from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.identity import Identity, identify, plain_settings
@@ -33,10 +34,13 @@ def prepare(config: TrainConfig, ref: str) -> Prepared:
     """Open the data and find out what the run is; builds and writes nothing.
 
     Raises: as `load_material` and `identify`; DataError where judging needs random episodes of
-        the training tasks and the file holds none.
+        the training tasks and the file holds none; SimulatorError where trials are asked for and
+        the simulator is not here.
     """
     plain = plain_settings(config)
     material = load_material(ref, config.quality, config.validation)
+    if config.adapt.tries and not material.family.simulates:
+        raise not_installed(material.family)
     random = config.statistics.source == "random" and config.adapt.aligns
     if material.test_rows and (random or config.adapt.infers):
         material.random_ids()
