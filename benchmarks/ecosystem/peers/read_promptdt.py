@@ -1,5 +1,6 @@
-"""The pickle layout of Prompt-DT, read as its code does: pickle and numpy, nothing of ours."""
+"""The pickle layout of Prompt-DT, read as its code does: split, pickle, numpy, nothing of ours."""
 
+import json
 import pathlib
 import pickle
 import sys
@@ -21,4 +22,11 @@ for path in sorted(folder.rglob("*.pkl")):
         rows += 0 if "-prompt-" in path.name else length
     files += 1
 assert rows == steps, rows
-print(np.__version__, f"{files} files, {rows:,} steps")
+(split,) = (folder / "config").glob("*/*.json")
+tasks = json.loads(split.read_text())
+assert split.stem == f"{tasks['env']}_{tasks['total_tasks']}"
+for i in {*tasks["train_tasks"], *tasks["test_tasks"]}:  # as load_data_prompt opens them
+    for name in (f"{i}-expert", f"{i}-prompt-expert"):
+        assert (folder / f"data/{tasks['env']}/{tasks['env']}-{name}.pkl").exists(), name
+told = f"{len(tasks['train_tasks'])} training and {len(tasks['test_tasks'])} test tasks"
+print(np.__version__, f"{files} files, {rows:,} steps; {told} in {split.name}")

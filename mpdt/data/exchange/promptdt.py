@@ -3,6 +3,7 @@
     data/<env>/<env>-<i>-<quality>.pkl            every episode
     data/<env>/<env>-<i>-prompt-<quality>.pkl     five of them
     config/<env>/config_<env>_task<i>.pkl         [{'velocity': 0.225}], or goal, or direction
+    config/<env>/<env>_<n>.json                   which of the n tasks are train_tasks, test_tasks
 
     observations, next_observations (T, D), actions (T, A) float32, rewards (T, 1) float32,
     terminals (T, 1) bool: true on the last row, also where it is the time limit
@@ -13,6 +14,7 @@ seeds, policies, success and the difference between the two kinds of end.
 
 from __future__ import annotations
 
+import json
 import pickle
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -58,7 +60,9 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     """
     rules, files = foreign.given(rules), files_below(paths, ".pkl")
     goals = _goals(files, rules.family)
-    sources, remarks = [], left_out(paths, files)
+    splits = [path for folder in paths if folder.is_dir()
+              for path in folder.glob("**/config/*/*.json")]  # fmt: skip
+    sources, remarks = [], left_out(paths, [*files, *splits])  # the family says what is a test task
     for path in files:
         if _CONFIG.fullmatch(path.name):
             continue
@@ -150,11 +154,12 @@ def raw_episode(episode: Any, goal: NDArray[np.float64] | None, where: str) -> R
 
 
 def write(selection: Selection, folder: Path) -> None:
-    """Data, prompt and goal files below `folder`. Readable by NumPy 1 and 2.
+    """Data, prompt, goal and split files below `folder`. Readable by NumPy 1 and 2.
 
     Memory holds the episodes of one task and quality. Raises: StorageError.
     """
     family = selection.dataset.family
+    _write_split(selection, folder / "config" / family)
     for run in selection.runs():
         place = folder / "data" / family
         place.mkdir(parents=True, exist_ok=True)
@@ -164,9 +169,22 @@ def write(selection: Selection, folder: Path) -> None:
         _dump(episodes[:NUM_PROMPTS], place / f"{family}-{run.task.index}-prompt-{quality}.pkl")
         if family in _GOAL_KEYS:  # elsewhere every episode has a goal of its own
             goals = folder / "config" / family
-            goals.mkdir(parents=True, exist_ok=True)
             goal = selection.episode(int(run.ids[0])).goal[0]
             _dump([{_GOAL_KEYS[family]: goal}], goals / f"config_{family}_task{run.task.index}.pkl")
+
+
+def _write_split(selection: Selection, folder: Path) -> None:
+    """The file that their main script opens first; n counts the tasks of the whole file."""
+    family, num_tasks = selection.dataset.family, len(selection.dataset.tasks.names)
+    tasks = {run.task.index: run.task for run in selection.runs()}
+    split = {
+        "env": family,
+        "total_tasks": num_tasks,
+        "train_tasks": [i for i, task in tasks.items() if task.role in ("train", "both")],
+        "test_tasks": [i for i, task in tasks.items() if task.role in ("test", "both")],
+    }
+    folder.mkdir(parents=True)
+    (folder / f"{family}_{num_tasks}.json").write_text(json.dumps(split) + "\n", encoding="utf-8")
 
 
 def _as_dict(episode: Episode) -> dict[str, NDArray[Any]]:

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from mpdt.data.exchange import hdf5
+from mpdt.data.exchange import hdf5, minari
 from mpdt.data.slices.cut import Cut, cut_file
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
@@ -239,3 +239,45 @@ def test_links_that_show_other_rows_are_noticed(
     assert run("export", collected, "--to", "minari", "-o", "out", "--link") == 1
     assert "links do not show the episodes" in capsys.readouterr().err
     assert not Path("out").exists()
+
+
+def test_minaris_own_writer_writes_the_same(reach: Path, exported: Make, tmp_path: Path) -> None:
+    """The twin: its storage class, fed with the episodes of a set of ours, and read by itself."""
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_storage import MinariStorage
+
+    ours = MinariStorage.read(exported(reach) / "mpdt/ml10/reach/expert-v2/data")
+    theirs = MinariStorage.new(
+        tmp_path / "theirs", ours.observation_space, ours.action_space, jpeg_encoding=False
+    )
+    data = open_dataset(reach)
+    ids = data.select(task="reach", quality="expert").tolist()
+    starts = list(ours.get_episode_metadata(range(len(ids))))
+    theirs.update_episodes(
+        EpisodeBuffer(
+            id=number, seed=start["seed"], options=start["options"],
+            infos={"success": np.append(False, one.successes)},
+            **{name: getattr(one, name) for name in minari._STEPS},
+        )
+        for number, (start, one) in enumerate(zip(starts, map(data.episode, ids), strict=True))
+    )  # fmt: skip
+    assert ours.total_episodes == theirs.total_episodes == len(ids) > 0
+    for numbers in ([0], range(len(ids))):
+        for one, other in zip(*(s.get_episodes(numbers) for s in (ours, theirs)), strict=True):
+            assert one.keys() == other.keys()
+            for name in minari._STEPS:
+                np.testing.assert_array_equal(one[name], other[name])
+                assert one[name].dtype == other[name].dtype
+            np.testing.assert_array_equal(one["infos"]["success"], other["infos"]["success"])
+    for one, other in zip(starts, theirs.get_episode_metadata(range(len(ids))), strict=True):
+        assert repr(one) == repr(other)
+    metadata = (s.read_raw_metadata(s.data_path) for s in (ours, theirs))
+    mine, own = (dict(one) for one in metadata)
+    told = set(own) - {
+        "dataset_size",
+        "jpeg_encoding",
+    }  # theirs counts at every write, in other units
+    assert {key: mine[key] for key in told & set(mine)} == {
+        key: own[key] for key in told & set(mine)
+    }
+    assert told - set(mine) == set()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import pickle
 import pickletools
 from collections.abc import Callable
@@ -231,6 +232,10 @@ def test_an_export_reads_back_elsewhere(collected: Path, run: Make) -> None:
         f"cheetah_dir-{i}-{prompt}{mode}.pkl"
         for i in (0, 1) for prompt in ("", "prompt-") for mode in modes
     )  # fmt: skip
+    split = Path("out/config/cheetah_dir/cheetah_dir_2.json")
+    assert json.loads(split.read_text()) == {
+        "env": "cheetah_dir", "total_tasks": 2, "train_tasks": [0, 1], "test_tasks": [0, 1],
+    }  # fmt: skip
     for task in (0, 1):
         goal = Path(f"out/config/cheetah_dir/config_cheetah_dir_task{task}.pkl").read_bytes()
         (config,) = IndependentReader(io.BytesIO(goal)).load()
@@ -253,10 +258,27 @@ def test_an_export_reads_back_elsewhere(collected: Path, run: Make) -> None:
             assert {array.dtype.str for array in one.values()} == {"<f4", "|b1"}
 
 
-def test_out_and_in_again_keeps_every_step(collected: Path, run: Make, imported: Make) -> None:
+def test_the_split_is_that_of_the_file(reach: Path, run: Make) -> None:
+    """Named after all tasks of the file, with the exported ones alone; goals are in no file."""
+    data = open_dataset(reach)
+    assert run("export", reach, "--to", "promptdt", "-o", "out") == 0
+    (split,) = Path("out/config").glob("*/*")
+    assert split.name == f"ml10_{len(data.tasks.names)}.json"
+    roles = dict(
+        zip(map(int, np.unique(data.episodes.task)), data.tasks.roles.tolist(), strict=True)
+    )
+    said = json.loads(split.read_text())
+    assert said["train_tasks"] == [i for i, role in roles.items() if role in (0, 2)]
+    assert said["test_tasks"] == [i for i, role in roles.items() if role in (1, 2)]
+
+
+def test_out_and_in_again_keeps_every_step(
+    collected: Path, run: Make, imported: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run("export", f"{collected}:medium", "--to", "promptdt", "-o", "out") == 0
     words = ("--from", "promptdt", "--family", "cheetah_dir", "--horizon", 5)
     back: Dataset = imported("out", *words)
+    assert "not of this format" not in capsys.readouterr().err, "not even the split"
     data = open_dataset(collected)
     ids = data.select(slice="medium")
     assert back.num_episodes == len(ids) == 8
