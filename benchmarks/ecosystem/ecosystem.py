@@ -18,6 +18,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +33,17 @@ LOSSLESS = "TTA sets and named slices"
 CHECKS = (
     ("Minari", "minari", "minari", ""),
     ("TorchRL", "torchrl", "minari", "goal, seed key, policy and quality of an episode"),
+    ("AgileRL", "agilerl", "minari", "goal, seed key, policy and quality of an episode"),
     ("Hugging Face datasets", "datasets", "parquet",
      "the last observation of an episode is in episodes.parquet, not among the rows"),
     ("duckdb", "duckdb", "parquet", ""),
     ("mlcroissant", "mlcroissant", "parquet", ""),
+    ("LeRobot's LeRobotDataset", "lerobot", "lerobot", "images"),
+    ("TorchRL", "torchrl_lerobot", "lerobot", ""),
     ("lerobot-doctor", "lerobot_doctor", "lerobot",
      "images; it warns of that, of a constant column and of tasks that differ"),
     ("pandas", "pandas", "lerobot", ""),
+    ("OGBench", "ogbench", "ogbench", ""),
     ("d3rlpy", "d3rlpy", "d4rl", "goals; the last step of each episode that ran out of time"),
     ("Prompt-DT's layout", "promptdt", "promptdt", ""),
     ("NumPy", "numpy", "npz", ""),
@@ -48,7 +53,7 @@ PAGE = """# Read by others
 Written by `make ecosystem`; do not edit. Each line is a program of `benchmarks/ecosystem/peers/`
 that imports nothing of mpdt (Minari alone does, to recover the environment) and asserts what it
 read: numbers of steps and episodes, returns, a replayed episode, a loss that falls. Data: {file},
-content `{content_hash}`, {episodes:,} episodes, {steps:,} steps.
+content `{content_hash}`, {episodes:,} episodes, {steps:,} steps; read on {date}.
 
 {table}
 
@@ -81,7 +86,7 @@ def write(file: Path, checks: list[dict[str, Any]]) -> None:
     data = open_dataset(file)
     header = {
         "file": file.name, "content_hash": data.content_hash[:8], "episodes": data.num_episodes,
-        "steps": data.num_steps,
+        "steps": data.num_steps, "date": date.today().isoformat(),
     }  # fmt: skip
     text = json.dumps(header | {"checks": checks}, indent=1) + "\n"
     (ROOT / "results/ecosystem.json").write_text(text)

@@ -6,7 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mpdt.data.exchange import d4rl, lerobot, lerobot_in, minari, mtdiff, npz, parquet, promptdt
+from mpdt.data.exchange import (
+    d4rl,
+    lerobot,
+    lerobot_in,
+    minari,
+    mtdiff,
+    npz,
+    ogbench,
+    parquet,
+    promptdt,
+)
 from mpdt.data.exchange.folder import refuse_existing
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.selection import Selection
@@ -36,6 +46,7 @@ FORMATS: dict[str, Format] = {
     "npz": Format(npz.read, npz.write),
     "d4rl": Format(d4rl.read, d4rl.write, d4rl.LOST),
     "lerobot": Format(lerobot_in.read, lerobot.write, lerobot.LOST),
+    "ogbench": Format(None, ogbench.write, ogbench.LOST),
     "promptdt": Format(promptdt.read, promptdt.write, promptdt.LOST),
     "mtdiff": Format(mtdiff.read, None),
 }

@@ -5,7 +5,9 @@
     data/chunk-000/file-000.parquet              one row per step
 
 The format has no row for the observation after the last step. Source: huggingface/lerobot,
-src/lerobot/datasets (codebase version v3.0).
+src/lerobot/datasets (codebase version v3.0). Not by its own writer: lerobot 0.4.4 pins torch below
+2.11, does 2,600 steps a second where this does 64,000, and stops at a column of one number with
+datasets 5.2 (docs/decisions/0038). Its own LeRobotDataset reads what is written here.
 """
 
 from __future__ import annotations

@@ -6,11 +6,8 @@
 
 With MINARI_DATASETS_PATH=<folder>, `minari.load_dataset(id)` reads them, and an episode starts
 again with `env.reset(seed=metadata["seed"], options=metadata["options"])` in the recovered
-environment. Source: Minari 0.5.4, storage and dataset modules.
-
-Written with h5py alone: `MinariStorage.update_episodes` is as fast, but chunks the feature axis
-(800 episodes of cheetah_dir: 29.9 MB for 21.1), takes the process down where the disk is full, and
-has no links. A test has both write the same episodes and compares what Minari reads of them.
+environment. Source: Minari 0.5.4, storage and dataset modules; written with h5py alone, since its
+own writer chunks the feature axis and cannot link (0038). A test has both write the same episodes.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ class Export(Options):
 
     file: Annotated[Positional[str], arg(metavar="FILE[:SLICE]")]
     format: Annotated[str, arg(name="to", metavar="FMT")]
-    """minari, parquet, npz, lerobot, d4rl or promptdt."""
+    """minari, parquet, npz, lerobot, d4rl, ogbench or promptdt."""
     slice: Annotated[str | None, arg(metavar="S")] = None
     """Only this slice; the same as FILE:S."""
     link: bool = False
