@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 REFERENCE_POLICIES = ("zero", "random", "constant", "expert")
-Source = Literal["", "shipped", "local", "collected"]
+Source = Literal["", "shipped", "local", "collected", "data"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class Reference:
         error: standard error of `mean`; NaN with fewer than two episodes.
         success: share of successful episodes; None where nobody counted them.
         source: `shipped` with mpdt, `local` from a file of the working folder, `collected`
-            from episodes of this very collection; empty = not said.
+            from episodes of this very collection, `data` from foreign episodes that were called
+            so; empty = not said.
     """
 
     mean: float = math.nan

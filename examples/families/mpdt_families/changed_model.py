@@ -27,8 +27,8 @@ LIMIT = 3.0
 NUM_TASKS, NUM_TEST = 50, 5
 HORIZON = 200
 PRETRAIN = {
-    "steps": 1_500_000, "rows": NUM_TASKS, "steps_per_update": 64, "minibatch": 800, "hidden": 64,
-    "snapshots": 40, "num_rungs": 10, "judge_episodes": 1, "threads": 1,
+    "steps": 600_000, "rows": NUM_TASKS, "steps_per_update": 64, "minibatch": 800, "hidden": 64,
+    "snapshots": 10, "early": 12, "num_rungs": 12, "judge_episodes": 1, "threads": 1,
 }  # fmt: skip
 RULES: dict[str, Any] = {
     "healthy_reward": 0.0,

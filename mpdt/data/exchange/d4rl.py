@@ -111,7 +111,7 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     for path in files:
         with hdf5.opened(path) as file:
             said = Said.of(file.attrs, "its attributes")
-            bounds = _bounds(file, rules.horizon, str(path))
+            bounds = episode_bounds(file, rules.horizon, str(path))
         said = said.and_also(_named(path.stem), str(path)).settled(rules, str(path))
         if not said.task:
             raise UsageError(f"of which task is {path}?", where="--task")
@@ -122,7 +122,7 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
                            "that the file cuts off")  # fmt: skip
         sources.append(
             Source(path, rules.family.task(said.task), quality_code(said.quality or "unknown"),
-                   partial(_episodes, path, bounds), said.license, notes=notes)
+                   partial(foreign_episodes, path, bounds), said.license, notes=notes)
         )  # fmt: skip
     return foreign.incoming(sources, rules, name, remarks)
 
@@ -134,7 +134,7 @@ def _named(stem: str) -> Said:
     return named(stem, "its name")
 
 
-def _bounds(file: h5py.File, horizon: int, where: str) -> _Bounds:
+def episode_bounds(file: h5py.File, horizon: int, where: str) -> _Bounds:
     ends = hdf5.array(file, "terminals", where).reshape(-1).astype(bool)
     has_timeouts = "timeouts" in file
     if has_timeouts:
@@ -156,7 +156,7 @@ def _bounds(file: h5py.File, horizon: int, where: str) -> _Bounds:
     return _Bounds(tuple(rows), len(ends) - start, has_timeouts)
 
 
-def _episodes(path: Path, bounds: _Bounds) -> Iterator[RawEpisode]:
+def foreign_episodes(path: Path, bounds: _Bounds) -> Iterator[RawEpisode]:
     with hdf5.opened(path) as file:
         if "next_observations" not in file:
             raise DataError("no next_observations", where=str(path),

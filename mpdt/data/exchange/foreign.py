@@ -130,7 +130,7 @@ def incoming(
     if not sources:
         raise UsageError(f"nothing to import as {rules.format}",
                          hint="name files, or a folder with files in it")  # fmt: skip
-    ordered = sorted(sources, key=lambda s: (s.task.index, s.quality, _natural(str(s.path))))
+    ordered = sorted(sources, key=lambda s: (s.task.index, s.quality, natural(str(s.path))))
     seen: set[tuple[int, bytes]] = set()
     tallies = [_count(source, rules, seen) for source in ordered]
     if len({tally.has_success for tally in tallies}) > 1:
@@ -252,7 +252,7 @@ def _told(tallies: Sequence[_Tally]) -> Iterator[str]:
             )
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
+def natural(name: str) -> list[tuple[int, str]]:
     """`x-2` before `x-10`."""
     words = re.split(r"(\d+)", name)
     return [(int(word), "") if word.isdigit() else (-1, word) for word in words]

@@ -43,7 +43,7 @@ from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
 VERSION = "0.5.0"  # readers accept an exact list; all since 0.5.0 have this one in it
 _STEPS = ("observations", "actions", "rewards", "terminations", "truncations")
-_MAIN = "main_data.hdf5"
+MAIN = "main_data.hdf5"
 _OF_NAMESPACES = "namespace_metadata.json"
 
 
@@ -63,12 +63,12 @@ def write(selection: Selection, folder: Path, link: bool = False) -> None:
         name = _id(selection, run)
         place = folder / name / "data"
         place.mkdir(parents=True)
-        with hdf5.created(place / _MAIN) as file:
+        with hdf5.created(place / MAIN) as file:
             for number, i in enumerate(run.ids.tolist()):
                 group = file.create_group(f"episode_{number}")
                 _write_episode(group, selection, i, number, link)
         if link:
-            _check_links(place / _MAIN, selection, run)
+            _check_links(place / MAIN, selection, run)
         metadata = _metadata(selection, run, name) | {KEY: manifest}
         size = sum(path.stat().st_size for path in place.iterdir())
         metadata["dataset_size"] = round(size / 1e6, 1)
@@ -181,8 +181,8 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     if not sets:
         raise UsageError("no Minari dataset there", where=str(paths[0]),
                          expected="a folder with data/metadata.json in it")  # fmt: skip
-    found = {folder: _read_metadata(folder) for folder in sets}
-    read = [folder / name for folder in sets for name in (_MAIN, "metadata.json")]
+    found = {folder: read_metadata(folder) for folder in sets}
+    read = [folder / name for folder in sets for name in (MAIN, "metadata.json")]
     remarks = left_out(paths, read + [path for path in known if path.name == _OF_NAMESPACES])
     if rules is None and all(KEY in metadata for metadata in found.values()):
         return _read_own(found, remarks)
@@ -194,15 +194,15 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
             tasks = ", ".join(task.name for task in rules.family.tasks)
             raise UsageError("of which task?", where="--task", hint=f"one of: {tasks}")
         sources.append(
-            Source(folder / _MAIN, rules.family.task(said.task),
+            Source(folder / MAIN, rules.family.task(said.task),
                    quality_code(said.quality or "unknown"),
-                   partial(_episodes, folder, metadata, said, rules), said.license,
+                   partial(foreign_episodes, folder, metadata, said, rules), said.license,
                    str(metadata.get("dataset_id", "")))
         )  # fmt: skip
     return foreign.incoming(sources, rules, name, remarks)
 
 
-def _read_metadata(folder: Path) -> dict[str, Any]:
+def read_metadata(folder: Path) -> dict[str, Any]:
     path = folder / "metadata.json"
     refuse_other(path, "the metadata of a Minari dataset", "text")
     content = read_plain(path)
@@ -219,10 +219,10 @@ def _read_metadata(folder: Path) -> dict[str, Any]:
     return found
 
 
-def _episodes(
+def foreign_episodes(
     folder: Path, metadata: dict[str, Any], said: Said, rules: Rules
 ) -> Iterator[RawEpisode]:
-    path = folder / _MAIN
+    path = folder / MAIN
     rows = (0, rules.horizon + 1)
     with hdf5.opened(path) as file:
         _check_count(file, metadata, path)
@@ -294,7 +294,7 @@ class _Entry:
 
 def _entries(folder: Path, metadata: dict[str, Any], header: FileHeader) -> Iterator[_Entry]:
     """Raises: ShapeError before anything is reserved for arrays of other sizes."""
-    path = folder / _MAIN
+    path = folder / MAIN
     with hdf5.opened(path) as file:
         _check_count(file, metadata, path)
         for number in range(metadata["total_episodes"]):

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ from mpdt.data.sim.network_file import load_snapshot
 from mpdt.data.sim.rungs import JUDGED, describe_rungs
 from mpdt.data.spec.family import Family
 from mpdt.data.spec.tasks import FAMILIES, SHIPPED, get_family
-from mpdt.data.spec.training import PretrainSettings, own_settings
+from mpdt.data.spec.training import PretrainSettings, described, own_settings
 from mpdt.disk import check_replaceable, disk, holding, write_bytes
 from mpdt.errors import SimulatorError, UsageError, unknown_name
 
@@ -147,7 +146,7 @@ def _pretrain(
         "seed": seed,
         "steps": total,
         "wall_s": curve[-1].wall_s,  # of training, without judging
-        "settings": asdict(settings),
+        "settings": described(settings),
         "packages": {package: metadata.version(package) for package in dict.fromkeys(packages)},
         **ladder,
         "curve": [msgspec.to_builtins(point) for point in curve],
@@ -185,7 +184,7 @@ def _train(
         ) from error
 
     torch.set_num_threads(1)  # small matrix products get slower on more threads
-    run = {"network": family.name, "seed": seed, "settings": asdict(settings)}
+    run = {"network": family.name, "seed": seed, "settings": described(settings)}
     if family.module:
         run["scene"] = network_scene(family)
     kept = load_checkpoint(work, run)
@@ -197,7 +196,8 @@ def _train(
     if kept:
         restore(model, *kept, work / CHECKPOINT)
         say(f"resuming at step {model.num_timesteps}")
-    snapshots = Snapshots(work, run, curve, total, max(1, total // settings.snapshots), say)
+    snapshots = Snapshots(work, run, curve, total, max(1, total // settings.snapshots), say,
+                          settings.early)  # fmt: skip
     remaining = total - int(model.num_timesteps)
     if remaining > 0:
         model.learn(remaining, callback=snapshots, reset_num_timesteps=False)

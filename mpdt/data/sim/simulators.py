@@ -58,7 +58,13 @@ def not_installed(family: Family) -> MpdtError:
         return error
     except UsageError:
         pass
-    module = family.module or "module:family"
+    if not family.module:
+        return SimulatorError(
+            "nobody simulates this family: its data were imported", where=family.name,
+            hint="a family of that name, columns and bounds in ./datasets.yaml or an installed "
+            "package would",
+        )  # fmt: skip
+    module = family.module
     return SimulatorError(
         "the simulator of this family is not here", where=family.name,
         expected=f"{module}, version {family.version}",

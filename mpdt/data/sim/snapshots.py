@@ -20,7 +20,7 @@ from mpdt.disk import write_bytes
 
 
 class Snapshots(BaseCallback):  # type: ignore[misc]  # untyped base
-    """Every `every` environment steps, between two rollouts.
+    """Every `every` environment steps, between two rollouts; `early` of them before the first.
 
     Args:
         work: folder of `<step>.safetensors` and the checkpoint.
@@ -37,14 +37,15 @@ class Snapshots(BaseCallback):  # type: ignore[misc]  # untyped base
         total: int,
         every: int,
         say: Callable[[str], None],
+        early: int = 1,
     ) -> None:
         super().__init__()
         self.curve = curve
         self._work, self._run, self._total = work, run, total
-        self._every, self._say = every, say
+        self._every, self._early, self._say = every, early, say
         self._earlier_step = curve[-1].step if curve else 0
         self._earlier_s = curve[-1].wall_s if curve else 0.0
-        self._next = self._earlier_step + every if curve else 0
+        self._next = self._after(self._earlier_step) if curve else 0
         self._since = time.monotonic()
 
     def _on_rollout_start(self) -> None:
@@ -63,6 +64,10 @@ class Snapshots(BaseCallback):  # type: ignore[misc]  # untyped base
         returns = [info["r"] for info in self.model.ep_info_buffer]
         return float(np.mean(returns)) if returns else None
 
+    def _after(self, step: int) -> int:
+        # Where learning is quick at first, half the way is behind before the first full interval.
+        return step + max(1, self._every // (self._early if step < self._every else 1))
+
     def take(self, step: int) -> None:
         """Keep the policy as it is now. Raises: StorageError."""
         write_bytes(self._work / f"{step:012d}.safetensors", save(export(self.model)))
@@ -70,7 +75,7 @@ class Snapshots(BaseCallback):  # type: ignore[misc]  # untyped base
         mean = self._mean_return()
         self.curve.append(Point(step, None if mean is None else round(mean, 2), wall_s))
         save_checkpoint(self._work, self.model, self._run, self.curve)
-        self._next = step + self._every
+        self._next = self._after(step)
 
 
 def export(model: Any) -> dict[str, NDArray[np.float32]]:

@@ -251,7 +251,7 @@ def decisive(told: Mapping[str, Any]) -> dict[str, Any]:
 
 def own_definition(family: Family) -> dict[str, Any]:
     """`definition` of one's own family; nothing of those that mpdt ships, which it knows."""
-    return definition(family) if family.module else {}
+    return definition(family) if family.module or family.id >= OWN_IDS else {}
 
 
 def stored_family(plain: Mapping[str, Any]) -> Family:

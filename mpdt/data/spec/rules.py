@@ -20,9 +20,16 @@ MOST_STEPS = 100_000
 
 def family_problems(family: Family) -> list[str]:
     """What is wrong with it, one line each; nothing for one that keeps the contract."""
-    if not isinstance(family.name, str) or not _NAME.fullmatch(family.name):
-        return [f"name {family.name!r}: letters, digits, . _ -, at most 100 of them"]
+    if problem := family_name_problem(family.name):
+        return [problem]
     return [*plain_problems(family), *_hooks(family)]
+
+
+def family_name_problem(name: object) -> str:
+    """Why it cannot name a family; empty where it can."""
+    if isinstance(name, str) and _NAME.fullmatch(name):
+        return ""
+    return f"name {name!r}: letters, digits, . _ -, at most 100 of them"
 
 
 def plain_problems(family: Family) -> list[str]:

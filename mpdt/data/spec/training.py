@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 
 from mpdt.errors import nearest
 
@@ -30,6 +30,8 @@ class PretrainSettings:
     num_rungs: int = 20
     judge_episodes: int = 16
     judge_noise: float = 0.1
+    early: int = 1
+    """Snapshots in the time of the first one."""
 
 
 OWN_STEPS = 1_000_000
@@ -38,6 +40,14 @@ _ANY = ("log_std_init", "entropy", "judge_noise")
 _WHOLE = tuple(one.name for one in fields(PretrainSettings) if one.type == "int")
 _LEAST = {"num_rungs": 2, "snapshots": 2}
 _MOST = {"steps": 10**12, "rows": 100_000, "hidden": 65_536, "snapshots": 100_000, "threads": 1_024}
+
+
+def described(settings: PretrainSettings) -> dict[str, float]:
+    """As records and checkpoints tell it: what came later is left out where nobody asked."""
+    plain = asdict(settings)
+    if settings.early == 1:
+        del plain["early"]
+    return plain
 
 
 def own_settings(said: Mapping[str, float]) -> PretrainSettings:

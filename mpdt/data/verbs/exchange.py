@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from mpdt.data.verbs.options import Options
+from mpdt.data.verbs.options import Names, Options
 
 if TYPE_CHECKING:
+    from mpdt.data.exchange.incoming import Incoming
     from mpdt.data.exchange.treatment import Rules
 
 
@@ -25,7 +26,7 @@ class Import(Options):
     Examples:
       mpdt-data import prompt-dt/ --from promptdt --family cheetah_vel -o vel.h5
       mpdt-data import metaworld_prompts/ --from mtdiff --family ml10 --hide-goal -o ml10-mtdiff.h5
-      mpdt-data import cheetah_dir-npz --from npz -o cheetah_dir.h5
+      mpdt-data import my_sets/ --from minari --family-of mine --test far -o mine.h5
     """
 
     sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SRC...")]
@@ -36,6 +37,12 @@ class Import(Options):
     """File to write; nothing is replaced."""
     family: Annotated[str | None, arg(metavar="F")] = None
     """Family of the tasks; our own exports know it."""
+    family_of: Annotated[str | None, arg(metavar="NAME")] = None
+    """Make a family of their own of the sources (minari, d4rl or npz); nobody simulates it."""
+    task_from: Literal["source", "folder"] = "source"
+    """With --family-of, what names the tasks: files or sets, or the folders they are in."""
+    test: Names = ()
+    """With --family-of, the tasks that are only tested on."""
     task: Annotated[str | None, arg(metavar="NAME")] = None
     """Task of all episodes, where the sources do not say."""
     quality: Annotated[str | None, arg(metavar="Q")] = None
@@ -51,10 +58,10 @@ class Import(Options):
 
     def run(self) -> None:
         from mpdt.data.collect.standing import with_references
-        from mpdt.data.exchange import formats, incoming
+        from mpdt.data.exchange import incoming
         from mpdt.data.slices.standard import standard_additions
 
-        found = formats.read(self.format, self.sources, self._rules(), self.output.stem)
+        found = self._read()
         header, remarks = with_references(found.header)
         found = replace(found, header=header, remarks=(*found.remarks, *remarks))
         dataset = incoming.store(found, self.output, standard_additions)
@@ -72,6 +79,24 @@ class Import(Options):
             f"{dataset.path}   {dataset.num_episodes:,} episodes   {dataset.num_steps:,} steps   "
             f"content {dataset.content_hash[:8]}",
         )
+
+    def _read(self) -> Incoming:
+        from mpdt.data.exchange import formats
+        from mpdt.data.exchange.own_family import Asked, read
+        from mpdt.data.verbs.options import split_names
+        from mpdt.errors import UsageError
+
+        if self.family_of is None:
+            if self.test or self.task_from != "source":
+                raise UsageError("--test and --task-from are of a family of its own",
+                                 hint="add --family-of NAME")  # fmt: skip
+            return formats.read(self.format, self.sources, self._rules(), self.output.stem)
+        if self.family or self.clip_actions or self.hide_goal:
+            raise UsageError("--family, --clip-actions and --hide-goal are of a known family",
+                             where="--family-of", hint="leave them out")  # fmt: skip
+        asked = Asked(self.format, self.family_of, self.task_from, self.task, self.quality,
+                      split_names(self.test), self.horizon, self.license)  # fmt: skip
+        return read(self.sources, asked, self.output.stem)
 
     def _rules(self) -> Rules | None:
         from mpdt.data.exchange.foreign import quality_code

@@ -25,7 +25,7 @@ from mpdt.seeding import Quality, SeedKey
 
 TINY = {"steps": 400, "rows": 5, "steps_per_update": 40, "minibatch": 50, "hidden": 8,
         "snapshots": 2, "num_rungs": 3, "judge_episodes": 2, "threads": 1,
-        "learning_rate": 0.01}  # fmt: skip
+        "learning_rate": 0.01, "early": 4}  # fmt: skip
 
 
 @pytest.fixture(autouse=True)
@@ -71,6 +71,8 @@ def test_a_network_of_ones_own_family(tmp_path: Path, monkeypatch: pytest.Monkey
     pretrain("line", output=tmp_path, steps=1200, on_progress=lines.append)
     assert any("resuming at step 400" in text for text in lines)
     record = json.loads((tmp_path / "line.json").read_text())
+    steps = [point["step"] for point in record["curve"]]
+    assert steps[:3] == [0, 200, 400] and record["settings"]["early"] == 4  # updates of 200 steps
     assert (record["robot"], record["reward"]) == ("line", "1.0.0")
     assert set(record["rungs"][-1]["levels"].values()) == {1.0} and len(record["curve"]) >= 3
     spec = DatasetSpec(

@@ -6,7 +6,7 @@ import errno
 import json
 import os
 import pickle
-from dataclasses import asdict, replace
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from mpdt.data.sim.network import network_actions
 from mpdt.data.sim.network_file import load_network, load_snapshot, split_rungs
 from mpdt.data.sim.pretrain import pretrain
 from mpdt.data.spec.tasks import get_family
+from mpdt.data.spec.training import described
 from mpdt.errors import BusyError, FormatError, StorageError, UsageError
 
 
@@ -69,7 +70,7 @@ def test_the_whole_state_comes_back_from_a_checkpoint(tiny: None, tmp_path: Path
 
 
 def checkpoint_run() -> dict[str, Any]:
-    settings = asdict(module.SETTINGS["cheetah_dir"])
+    settings = described(module.SETTINGS["cheetah_dir"])
     return {"network": "cheetah_dir", "seed": 0, "settings": settings}
 
 

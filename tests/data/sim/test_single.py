@@ -165,7 +165,7 @@ def test_options_goals_and_steps_are_the_familys() -> None:
     with pytest.raises(UsageError, match=r"another goal than the task's; expected \(-2.0,\)"):
         env.reset(keys(family, 1), [np.array([3.0])])
     with pytest.raises(SimulatorError, match="simulator of this family is not here") as caught:
-        make_batch(line(name="gone", env=None), TASKS, {})
+        make_batch(line(name="gone", env=None, module="a:b"), TASKS, {})
     assert "families: {gone:" in caught.value.hint
 
 
