@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mpdt.data.spec.family import View as View
     from mpdt.data.spec.own import register_family as register_family
     from mpdt.train.run.load import load_policy as load_policy
+    from mpdt.train.run.results import read_results as read_results
 
 from mpdt.version import __version__ as __version__
 
@@ -33,6 +34,7 @@ _HOMES = {
     "View": "mpdt.data.spec.family",
     "register_family": "mpdt.data.spec.own",
     "load_policy": "mpdt.train.run.load",
+    "read_results": "mpdt.train.run.results",
 }
 
 if "gymnasium" in sys.modules:

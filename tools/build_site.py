@@ -6,12 +6,15 @@
 Pages are laid out in build/site/pages and nothing is written twice: the start page is the README,
 links between files become links between pages, a page named in a text (`docs/trust.md`) becomes
 a link, a data set's card stands under its heading, and the Python reference is rendered from the
-docstrings of the names that docs/reference/api.md lists. A link that leads to no page, and any
+docstrings of the names that docs/reference/api.md lists. The notebook is a page with what it
+showed when it was run. A link that leads to no page, and any
 warning of the generator, ends the build.
 """
 
 from __future__ import annotations
 
+import base64
+import json
 import os
 import re
 import shutil
@@ -19,14 +22,16 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 ROOT = Path(__file__).parent.parent
 PLACE = ROOT / "build/site"
 SETTINGS = ROOT / "tools/site"
+NOTEBOOK = "docs/first_steps.ipynb"
 OUTSIDE = {
     "README.md": "index.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md",
     "SECURITY.md": "security.md", "policies/README.md": "policies/index.md",
-    "examples/families/README.md": "families.md",
+    "examples/families/README.md": "families.md", NOTEBOOK: "first_steps.md",
 }  # fmt: skip
 # Repository folders and files that a page links to, and the page that shows them.
 STANDS_FOR = {"docs/decisions": "decisions/index.md", "policies": "policies/index.md"}
@@ -63,7 +68,7 @@ def lay_out() -> None:
     """build/site: settings and every page, as the generator wants them."""
     shutil.rmtree(PLACE, ignore_errors=True)
     pages = PLACE / "pages"
-    shutil.copytree(ROOT / "docs", pages)
+    shutil.copytree(ROOT / "docs", pages, ignore=shutil.ignore_patterns("*.ipynb"))
     shutil.copy(SETTINGS / "zensical.toml", PLACE)
     shutil.copy(SETTINGS / "style.css", pages)
     where = site_paths()
@@ -73,6 +78,10 @@ def lay_out() -> None:
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_text(page_text(source, where), encoding="utf-8")
     (pages / "decisions/index.md").write_text(decision_list(), encoding="utf-8")
+    book = json.loads((ROOT / NOTEBOOK).read_text(encoding="utf-8"))
+    text = notebook_text(book["cells"], pages)
+    text = outside_fences(text, lambda prose: for_the_site(prose, NOTEBOOK, where))
+    (pages / OUTSIDE[NOTEBOOK]).write_text(text, encoding="utf-8")
 
 
 def site_paths() -> dict[str, str]:
@@ -90,6 +99,24 @@ def site_paths() -> dict[str, str]:
            for card in cards}
         | STANDS_FOR
     )  # fmt: skip
+
+
+def notebook_text(cells: list[dict[str, Any]], pages: Path) -> str:
+    """A notebook as a page: text, code, and what it showed; pictures become files of `pages`."""
+    parts = []
+    for number, cell in enumerate(cells):
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for shown in (out["data"] for out in cell.get("outputs", ())):
+            if "image/png" in shown:
+                name = f"first_steps-{number}.png"
+                (pages / name).write_bytes(base64.b64decode("".join(shown["image/png"])))
+                parts.append(f"![What the cell above drew]({name})")
+            elif "text/html" in shown:
+                parts.append("".join(shown["text/html"]))
+            else:
+                parts.append("```text\n" + "".join(shown["text/plain"]) + "\n```")
+    return "\n\n".join(parts) + "\n"
 
 
 def page_text(source: str, where: dict[str, str]) -> str:

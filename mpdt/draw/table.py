@@ -1,9 +1,10 @@
-"""Table: text cells, drawn as Markdown for pages and as a rich table for the terminal."""
+"""Table: text cells, drawn as Markdown for pages, HTML for notebooks, rich for the terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING
 
 from mpdt.errors import visible
@@ -50,6 +51,26 @@ def markdown_page(header: Mapping[str, str], tables: Sequence[Table], closing: s
             parts += ["", note]
     parts += ["", closing] if closing else []
     return "\n".join(parts) + "\n"
+
+
+def html_table(table: Table) -> str:
+    """One table as a notebook shows it; whatever stands in a cell is text there."""
+
+    def line(tag: str, cells: Iterable[object]) -> str:
+        sides = ("left", "right")
+        shown = (
+            f'<{tag} style="text-align:{sides[i > 0]}">{escape(visible(str(cell)))}</{tag}>'
+            for i, cell in enumerate(cells)
+        )
+        return f"<tr>{''.join(shown)}</tr>"
+
+    body = "".join(line("td", row) for row in table.rows)
+    notes = "".join(f"<p>{escape(visible(note))}</p>" for note in table.notes)
+    return (
+        f"<div><p><b>{escape(visible(table.title))}</b></p>"
+        f"<table><thead>{line('th', table.columns)}</thead><tbody>{body}</tbody></table>"
+        f"{notes}</div>"
+    )
 
 
 def rich_tables(tables: Sequence[Table]) -> list[RichTable]:

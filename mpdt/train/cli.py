@@ -191,7 +191,7 @@ def _run(command: Run, rest: list[str]) -> int:
     from mpdt.train.run.pipeline import run_pipeline
     from mpdt.train.run.prepare import prepare
     from mpdt.train.run.progress import Progress
-    from mpdt.train.run.show import print_results
+    from mpdt.train.run.show import print_results, what_next
     from mpdt.train.track.follow import Following
     from mpdt.train.track.tracker import chosen_trackers
 
@@ -216,6 +216,7 @@ def _run(command: Run, rest: list[str]) -> int:
         )  # fmt: skip
         if results:  # of several processes the first one tells
             print_results(results, command.json)
+            progress.say(what_next(folder.path))
         return 0
 
     return until_stopped(body)

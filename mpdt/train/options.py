@@ -45,26 +45,26 @@ class Run:
     pattern ('parts/*.h5') are read as the one that merge would make of them."""
     preset: str = "base"
     """Settings to start from: smoke, demo, base, paper."""
-    begin: Annotated[str | None, tyro.conf.arg(name="from")] = None
+    begin: Annotated[str | None, tyro.conf.arg(name="from", metavar="BUNDLE")] = None
     """Bundle (folder, address or folder of a run) to train on: of its family everything is taken,
     for another family what fits. What the policy is made of is then the bundle's, too."""
-    method: str | None = None
+    method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
     """MPDT, MPDT-E, MPDT-WP, Soft-Prompt, Prompt-DT, MT-BC, LaMo, ...: lays a method over the
     preset. `mpdt-train methods` tells of all; default: the preset's own."""
-    adapt: str | None = None
+    adapt: Annotated[str | None, tyro.conf.arg(metavar="START")] = None
     """Start of adaptation, such as cross or infer. Short for --adapt.starts."""
-    name: str | None = None
+    name: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Folder of the run inside the runs folder; default: FILE-preset or FILE-method."""
     runs_dir: Path = Path("runs")
     """Where runs are kept."""
     restart: bool = False
     """Throw away what an earlier run left in that folder."""
-    steps: int | None = None
+    steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Updates of P_c and P_k; the teacher keeps its share. Short for --multitask.steps."""
     time_limit_s: float = 0.0
     """End training after so many seconds and judge what there is; the same command trains on.
     0 = never."""
-    log: str | None = None
+    log: Annotated[str | None, tyro.conf.arg(metavar="TRACKER[,TRACKER...]")] = None
     """Trackers that are told of it while it goes, with commas between them: tensorboard, wandb,
     trackio. metrics.jsonl is written anyway; a finished run is told of, too."""
     json: bool = False
@@ -142,7 +142,7 @@ class Study:
     engine: Literal["processes", "ray"] = "processes"
     """processes: on this machine. ray: as many cells at once as a cluster has cores for; data,
     runs and results lie where every node sees them."""
-    address: str | None = None
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """Of a running Ray cluster; auto = the one of this machine."""
     json: bool = False
     """Print all outcomes as JSON, when the last cell is done."""
@@ -165,10 +165,10 @@ class Report:
     folder: tyro.conf.Positional[Path]
     """A run's folder, such as runs/ml10-base, a study's results (results/studies/one-block), or
     those of all studies together (results/studies)."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FOLDER")] = None
     """Write tables.md, tables.csv and pictures (SVG) of a study there, or the maps of a
     run's prompts."""
-    html: Path | None = None
+    html: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Write one page with tables, bars, curves and maps of prompts there; it needs no network."""
     json: bool = False
     """Print results.json instead of tables."""
@@ -193,9 +193,9 @@ class Submit:
     """Folders of runs, or files with a result."""
     board: Path = Path("leaderboard.csv")
     """The leaderboard; begun if it is not there."""
-    lock: Path | None = None
+    lock: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """The lock that has to hold the data; default: datasets.lock beside datasets.yaml."""
-    label: Annotated[str | None, tyro.conf.arg(name="as")] = None
+    label: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None
     """Another name for the method, where the board has a row of the same name and seed."""
     replace: bool = False
     """Put these rows in the place of those with the same name and seed."""

@@ -26,7 +26,7 @@ class Evaluate:
     """The run's folder, such as runs/ml10-base."""
     data: str
     """FILE or FILE:slice it was trained on."""
-    keep: Path | None = None
+    keep: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Keep the episodes as data: with FILE.h5 in FILE-own.h5, FILE-cross.h5, ..."""
     json: bool = False
     """Print results.json instead of tables."""
@@ -66,7 +66,7 @@ class EvaluatePolicy:
     from here or what is installed; or a bundle's folder or address."""
     data: str
     """FILE whose tasks, options and references count."""
-    keep: Path | None = None
+    keep: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Keep the episodes as data."""
     json: bool = False
     """Print results instead of tables."""
@@ -93,7 +93,7 @@ class Bundle:
     """The run's folder, such as runs/ml10-base."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder to write; nothing may be there."""
-    data: str | None = None
+    data: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """FILE or FILE:slice it was trained on; default: the file of that name, here or beside the
     folder of runs."""
     without_backbone: bool = False
@@ -123,7 +123,7 @@ class Rollout:
     """Data file to write."""
     tasks: str = "train"
     """train, test, all, or names with commas between them."""
-    start: str | None = None
+    start: Annotated[str | None, tyro.conf.arg(metavar="START")] = None
     """Prompts to act behind, such as own, cross or none; default: own, or none for tasks that
     were not trained on."""
     episodes: int = 50
@@ -132,7 +132,7 @@ class Rollout:
     """Standard deviation of the Gaussian added to actions, in their own unit."""
     seed: int = 0
     """Number of these roll-outs; those of another number begin elsewhere, and merge with these."""
-    workers: int | None = None
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Processes; default: one per core, 0 = in this one."""
     restart: bool = False
     """Throw away what an earlier call left."""
@@ -185,7 +185,7 @@ class Pull:
 
     url: tyro.conf.Positional[str]
     """What to bring; https:// as well."""
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="PATH")] = None
     """Folder to put it in; default: its own name, here. Nothing is replaced."""
     json: bool = False
     """Print what came as JSON."""

@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from mpdt.draw.table import Table, markdown_page, markdown_table, rich_tables
+from mpdt.draw.table import Table, html_table, markdown_page, markdown_table, rich_tables
 
 ROWS = (("a|b", "1"), ("c", "2"), ("all", "1.5"))
 TABLE = Table("returns", ("task", "zero"), ROWS, ("n = 2",), closing=1)
@@ -41,3 +41,15 @@ def test_cells_are_text_on_a_terminal():
     for text in ("[/x]", "[b]a", "\\x1b[31m1", "[red]", "\\u202e", "[/n]", "[/t]"):
         assert text in shown
     assert not set("\x1b\u202e") & set(shown)
+
+
+def test_html_by_hand():
+    """What a cell holds is text, also where it looks like a tag."""
+    table = Table("a < b", ("x", "y"), (("<script>", "1"),), ("n & m",))
+    left, right = 'style="text-align:left"', 'style="text-align:right"'
+    assert html_table(table) == (
+        "<div><p><b>a &lt; b</b></p><table><thead>"
+        f"<tr><th {left}>x</th><th {right}>y</th></tr></thead><tbody>"
+        f"<tr><td {left}>&lt;script&gt;</td><td {right}>1</td></tr></tbody></table>"
+        "<p>n &amp; m</p></div>"
+    )

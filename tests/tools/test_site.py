@@ -80,6 +80,22 @@ def test_the_reference_is_rendered_from_the_names_of_the_page(build_site: Module
     assert made == "# P\n\nabout\n\n::: mpdt.open\n\n## Errors\n\ny\n"
 
 
+def test_a_notebook_becomes_a_page(build_site: ModuleType, tmp_path: Path) -> None:
+    cells = [
+        {"cell_type": "markdown", "source": ["# T\n", "text"]},
+        {"cell_type": "code", "source": "1", "outputs": [{"data": {"text/plain": ["1"]}}]},
+        {"cell_type": "code", "source": "d", "outputs": [
+            {"data": {"text/html": "<div>x</div>", "text/plain": "x"}}]},
+        {"cell_type": "code", "source": "p", "outputs": [{"data": {"image/png": "aGk="}}]},
+    ]  # fmt: skip
+    made = build_site.notebook_text(cells, tmp_path)
+    assert made == (
+        "# T\ntext\n\n```python\n1\n```\n\n```text\n1\n```\n\n```python\nd\n```\n\n<div>x</div>\n\n"
+        "```python\np\n```\n\n![What the cell above drew](first_steps-3.png)\n"
+    )
+    assert (tmp_path / "first_steps-3.png").read_bytes() == b"hi"
+
+
 def test_a_data_sets_card_stands_under_its_heading(build_site: ModuleType) -> None:
     made = build_site.with_cards("## cheetah_dir\n\n| table |\n\n## unknown\n")
     assert 'src="cards/cheetah_dir.html" title="Data card of cheetah_dir"' in made

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -25,12 +26,23 @@ def expect_package(name: str) -> None:
         )  # fmt: skip
 
 
+def forget_screen() -> None:
+    """Drop a backend that a notebook set for its own environment: matplotlib would not import.
+
+    Nothing here is shown on a screen.
+    """
+    home = os.environ.get("MPLBACKEND", "").removeprefix("module://").partition(".")[0]
+    if os.environ.get("MPLBACKEND", "").startswith("module://") and find_spec(home) is None:
+        del os.environ["MPLBACKEND"]
+
+
 def write_png(target: Path, data: Dataset, film: Film) -> None:
     """The frames side by side above the reward of every step and the return so far.
 
     Raises: UsageError without matplotlib; StorageError where the disk refuses.
     """
     expect_package("matplotlib")
+    forget_screen()
     from matplotlib.figure import Figure
 
     rewards = np.asarray(data.episode(film.episode).rewards, np.float64)

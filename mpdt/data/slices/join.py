@@ -29,6 +29,7 @@ from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.digest import content_hash
 from mpdt.data.store.opening import Sources
 from mpdt.data.store.rows import JoinedRows
+from mpdt.data.store.shown import Slices
 from mpdt.data.store.sources import FileHeader
 from mpdt.data.store.tables import Int64
 from mpdt.errors import DataError, StorageError
@@ -97,10 +98,11 @@ def join(parts: Sequence[Dataset], path: Path | None = None) -> Dataset:
         parts=tuple(parts), places=places,
     )  # fmt: skip
     slices = dict(sorted(standard_slices(bare).items()))
+    rules = {name: _stored(one.rule) for name, one in slices.items()}
     return replace(
         bare,
-        slices={name: one.ids for name, one in slices.items()},
-        slice_rules={name: _stored(one.rule) for name, one in slices.items()},
+        slices=Slices({name: one.ids for name, one in slices.items()}, rules),
+        slice_rules=rules,
         stats_info=later_stats(bare),
     )
 

@@ -16,6 +16,7 @@ from mpdt.data.spec.family import Family
 from mpdt.data.spec.own import family_of
 from mpdt.data.store.digest import content_header
 from mpdt.data.store.opening import Source
+from mpdt.data.store.shown import dataset_html
 from mpdt.data.store.tables import (
     Episodes,
     Float64,
@@ -124,6 +125,9 @@ class Dataset:
         Raises: UsageError for a family that neither knows; DataError where they disagree.
         """
         return family_of(self.family, self.definition)
+
+    def _repr_html_(self) -> str:
+        return dataset_html(self)
 
     def content_header(self) -> dict[str, Any]:
         """What the content hash knows of this file beside its episodes."""

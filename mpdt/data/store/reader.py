@@ -26,6 +26,7 @@ from mpdt.data.store.opening import Opened, Source, opened
 from mpdt.data.store.origin import damaged_hint
 from mpdt.data.store.references import references_of
 from mpdt.data.store.seal import ATTRIBUTE, check_seal
+from mpdt.data.store.shown import Slices
 from mpdt.data.store.tree import Array, Tree
 from mpdt.errors import (
     FormatError,
@@ -193,6 +194,7 @@ def _read(file: Opened, path: Path, arrays: _Arrays, checked: bool = True) -> Da
     goals = _columns(found["goals"], layout.GOALS)
     policies = _columns(found["policies"], layout.POLICIES)
     slices = {name: _slice_ids(array, where) for name, array in tree.below("slices").items()}
+    rules = {name: tree.json(f"slices/{name}", "rule") for name in slices}
     dataset = Dataset(
         path=path, source=Source(path.absolute(), file.stream), family=family,
         name=tree.text("", "name"),
@@ -215,8 +217,8 @@ def _read(file: Opened, path: Path, arrays: _Arrays, checked: bool = True) -> Da
         ),
         episodes=tables.Episodes(**episodes),
         steps=tables.Steps(**_columns(found["steps"], layout.STEPS, arrays)),
-        slices=slices,
-        slice_rules={name: tree.json(f"slices/{name}", "rule") for name in slices},
+        slices=Slices(slices, rules),
+        slice_rules=rules,
         stats_info=_read_stats(tree) if "stats" in tree.groups else None,
         tta={
             name: _read_tta(name, tree, sizes if checked else None, arrays)

@@ -151,6 +151,7 @@ class Collect(Plans):
         from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.verbs.describe import describe, level_table
         from mpdt.data.verbs.progress import show_progress
+        from mpdt.errors import quoted
 
         catalog = load_catalog(self.spec)
         job = self.chosen_job(catalog)
@@ -173,6 +174,9 @@ class Collect(Plans):
             f"{verb} {target}   {data.num_episodes:,} episodes   {size:.1f} MB   "
             f"content {data.content_hash[:8]}\n" + level_table(data),
         )
+        if done.is_new:
+            self.say(f"next    mpdt-data report {quoted(target)}   "
+                     f"mpdt-train --data {quoted(target)}")  # fmt: skip
 
     def chosen_engine(self) -> Engine:
         """Raises: UsageError for options of the other engine."""

@@ -12,10 +12,12 @@ from typing import Any
 import msgspec
 
 from mpdt.disk import sync
+from mpdt.draw.table import html_table
 from mpdt.errors import FormatError, MissingFileError
 from mpdt.reading import read_json
 from mpdt.train.evaluate.score import Score
 from mpdt.train.evaluate.sealed import FORMAT, check_digest
+from mpdt.train.evaluate.tables import build_tables
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder
@@ -84,10 +86,23 @@ def results_header(
     }
 
 
-def read_results(folder: Path) -> dict[str, Any]:
-    """results.json of a run's folder. Raises: as `read_results_file`, `RunFolder.refuse_links`."""
+class Results(dict[str, Any]):
+    """results.json as a dict; a notebook shows its tables."""
+
+    def _repr_html_(self) -> str:
+        tables = build_tables(scores_in(self), "policy" not in self)
+        return "".join(map(html_table, tables))
+
+
+def read_results(folder: Path | str) -> Results:
+    """results.json of a run's folder: settings, data, and under `scores` every row of its tables.
+
+    Raises: MissingFileError for a run that has not ended; FormatError for one that was changed;
+        StorageError.
+    """
+    folder = Path(folder)
     RunFolder(folder).refuse_links()
-    return read_results_file(folder / "results.json")
+    return Results(read_results_file(folder / "results.json"))
 
 
 def read_results_file(path: Path) -> dict[str, Any]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from mpdt.draw.table import rich_tables
+from mpdt.errors import quoted
 from mpdt.train.evaluate.tables import build_tables
 from mpdt.train.run.config import TrainConfig, to_plain
 from mpdt.train.run.methods import METHODS, apply_method
@@ -35,6 +37,16 @@ def print_results(results: Mapping[str, Any], as_json: bool) -> None:
     )
     for table in rich_tables(build_tables(scores_in(results), "policy" not in results)):
         console.print(table)
+
+
+def what_next(folder: Path) -> str:
+    """What to do with a finished run, for whoever made the first one."""
+    page, made = f"{folder.name}.html", f"{folder.name}-policy.h5"
+    return (
+        f"policy  {folder / 'policy'}   in Python: mpdt.load_policy({str(folder)!r}, task=NAME)\n"
+        f"next    mpdt-train report {quoted(folder)} --html {quoted(page)}\n"
+        f"        mpdt-train rollout {quoted(folder)} -o {quoted(made)}"
+    )
 
 
 def settings_text(config: TrainConfig, as_json: bool) -> str:
