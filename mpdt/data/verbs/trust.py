@@ -30,6 +30,8 @@ class Verify(Options):
     """File to check; put it before --only and --skip."""
     replay: Annotated[str, arg(metavar="2%|N|all")] = "2%"
     """Episodes to simulate again: a share of each quality of each task, a number, or all."""
+    workers: Annotated[int | None, arg(metavar="N")] = None
+    """Processes for long replays; default one per core, 0 = none."""
     locked: bool = False
     """Compare with datasets.lock too."""
     only: Ids = ()
@@ -48,6 +50,7 @@ class Verify(Options):
         from mpdt.data.spec.catalog import load_catalog
         from mpdt.data.verify.finding import Outcome
         from mpdt.data.verify.verify import markdown, summary, verify
+        from mpdt.data.workers.processes import default_workers
         from mpdt.disk import check_replaceable, write_bytes
         from mpdt.errors import DataError
 
@@ -61,6 +64,7 @@ class Verify(Options):
             replay=self.replay,
             lock=lock_path(load_catalog(self.spec).path) if self.locked else None,
             say=self.say,
+            workers=default_workers() if self.workers is None else self.workers,
         )
         findings = report.findings
         if self.markdown is not None:

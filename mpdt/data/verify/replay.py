@@ -2,16 +2,17 @@
 stored bytes.
 
 No policy acts, so neither weights nor BLAS matter: what is shown is that the simulator of this
-machine gives the stored observations, rewards and flags for the stored actions. The episodes lie
-evenly spaced in every run of one task and quality, at least one of each; where the first one lies
-comes from the content hash, so that a file is looked at in the same places.
+machine gives the stored observations, rewards and flags for the stored actions. `amount.py` says
+which episodes these are.
 """
 
 from __future__ import annotations
 
-import math
+import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -27,14 +28,18 @@ from mpdt.data.spec.family import Family, definition
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.origin import again_hint
-from mpdt.data.store.ttaset import tta_episodes
+from mpdt.data.verify.amount import Amount, chosen
 from mpdt.data.verify.finding import Fault, Finding, Outcome, fault, judge, nothing
-from mpdt.data.verify.material import Material, Track
+from mpdt.data.verify.material import Material
+from mpdt.data.workers.processes import map_blocks
 from mpdt.errors import DataError, MpdtError, UsageError, quoted
+from mpdt.pace import Pace
 from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
 ID = "replay"
 ROWS = 50  # episodes side by side
+WORTH_IT_S = 4.0
+"""Seconds of stepping from which on processes are started for it, which takes one or two."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +58,56 @@ class Replayed:
     largest: float
 
 
+@dataclass(frozen=True)
+class _Some:
+    """Episodes of one task that are played side by side, and their places in the sequence."""
+
+    task: int
+    places: tuple[int, ...]
+    episodes: tuple[Episode, ...]
+
+    @property
+    def num_steps(self) -> int:
+        return sum(episode.length for episode in self.episodes)
+
+
+@dataclass(eq=False)
+class _Player:
+    """Plays and compares; the same in this process and in another one."""
+
+    family: Family
+    options: dict[str, Any]
+    horizon: int
+    seed: int
+    seconds: float = 0.0
+    """Spent on stepping, here."""
+    _env: tuple[tuple[int, int], BatchEnv] | None = field(default=None, repr=False)
+
+    def __call__(self, some: _Some) -> list[Replayed]:
+        wanted = some.task, len(some.places)
+        if self._env is None or self._env[0] != wanted:  # building one takes a while
+            tasks = [self.family.tasks[some.task]] * len(some.places)
+            self._env = wanted, make_batch(self.family, tasks, self.options)
+        keys = [SeedKey(self.seed, *episode.seed_key) for episode in some.episodes]
+        began = time.monotonic()
+        play = play_stored(self._env[1], some.episodes, keys)
+        self.seconds += time.monotonic() - began
+        return [
+            _compare(self.family, place, some.episodes[row], play, row, self.horizon)
+            for row, place in enumerate(some.places)
+        ]
+
+
 def replay(
-    dataset: Dataset, episodes: Sequence[Episode], horizon: int, seed: Any
+    dataset: Dataset, episodes: Sequence[Episode], horizon: int, seed: Any, workers: int = 0
 ) -> Iterator[Replayed]:
-    """Simulate `episodes` of `dataset` again, task by task.
+    """Simulate `episodes` of `dataset` again, task by task; results as they come.
 
     Args:
         horizon: steps after which an episode of these is truncated.
         seed: the root seed, as the file says it.
+        workers: processes for what would take this one longer than `WORTH_IT_S`; below two none.
+            In a script they need `if __name__ == "__main__":`.
     Raises: DataError for episodes without seed; UsageError for a family or goal that cannot be
         simulated; SimulatorError.
     """
@@ -72,18 +119,22 @@ def replay(
         if episode.seed_key == UNKNOWN_SEED_KEY:
             raise DataError("episodes without a seed cannot be simulated", where=str(dataset.path))
         by_task.setdefault(episode.task, []).append(place)
-    for task, places in sorted(by_task.items()):
-        env: BatchEnv | None = None  # kept while its width fits: building one takes a while
-        for first in range(0, len(places), ROWS):
-            some = places[first : first + ROWS]
-            if env is None or env.num_rows != len(some):
-                options = dict(dataset.spec.get("env") or {})
-                env = make_batch(family, [family.tasks[task]] * len(some), options)
-            chosen = [episodes[place] for place in some]
-            keys = [SeedKey(seed, *episode.seed_key) for episode in chosen]
-            play = play_stored(env, chosen, keys)
-            for row, place in enumerate(some):
-                yield _compare(family, place, chosen[row], play, row, horizon)
+    waiting = deque(
+        _Some(task, tuple(places[i : i + ROWS]), tuple(episodes[p] for p in places[i : i + ROWS]))
+        for task, places in sorted(by_task.items())
+        for i in range(0, len(places), ROWS)
+    )
+    player, steps = _Player(family, dict(dataset.spec.get("env") or {}), horizon, seed), 0
+    while waiting:
+        left = sum(some.num_steps for some in waiting)
+        if workers > 1 and len(waiting) > 1 and left * player.seconds > WORTH_IT_S * steps:
+            others = replace(player, _env=None)
+            with closing(map_blocks(others, waiting, workers)) as done:
+                for found in done:
+                    yield from found
+            return
+        steps += waiting[0].num_steps
+        yield from player(waiting.popleft())
 
 
 def _compare(
@@ -107,35 +158,6 @@ def _compare(
     return Replayed(place, length, differing, largest)
 
 
-@dataclass(frozen=True)
-class Amount:
-    """How many episodes: a share of each run, or a number in all."""
-
-    share: float | None = None
-    number: int | None = None
-
-    @classmethod
-    def parse(cls, text: str) -> Amount:
-        """`2%`, `40` or `all`. Raises: UsageError."""
-        word = text.strip()
-        try:
-            if word == "all":
-                return cls(share=1.0)
-            if word.endswith("%") and 0 < float(word[:-1]) <= 100:
-                return cls(share=float(word[:-1]) / 100)
-            if int(word) > 0:
-                return cls(number=int(word))
-        except ValueError:
-            pass
-        raise UsageError("cannot read the amount", where="--replay", found=text,
-                         expected="2%, 40 or all", hint="--skip replay for none")  # fmt: skip
-
-    def of(self, run: int, total: int) -> int:
-        """Episodes of a run of `run` among `total`; at least one."""
-        share = self.share if self.share is not None else (self.number or 0) / max(1, total)
-        return min(run, max(1, math.ceil(run * share - 1e-9)))
-
-
 @dataclass
 class _Tally:
     episodes: int = 0
@@ -144,24 +166,36 @@ class _Tally:
     largest: float = 0.0
     faults: dict[tuple[str, str], list[int]] = field(default_factory=dict)
 
+    def add(self, done: Replayed, track: str, id: int) -> None:
+        self.episodes += 1
+        self.steps += done.num_steps
+        self.equal += not done.differing
+        self.largest = max(self.largest, done.largest)
+        if done.differing:
+            what = f"other {' and '.join(done.differing)} when simulated again"
+            self.faults.setdefault((what, track), []).append(id)
 
-def check_replay(material: Material, amount: Amount, say: Callable[[str], None]) -> Finding:
+
+def check_replay(
+    material: Material, amount: Amount, say: Callable[[str], None], workers: int = 0
+) -> Finding:
+    """Args: workers: as `replay`."""
     data, tally = material.dataset, _Tally()
     names = decisive_packages(data.family)
     other = other_versions(data.packages, provenance.packages(), names)
     machine = other_versions(data.platform, provenance.machine(), MACHINE[:2])
     excuse = ", ".join(part for part in (_other_family(material), other, machine) if part)
+    began, pace = time.monotonic(), Pace()
     try:
-        for track, ids, episodes, horizon in _chosen(material, amount):
-            say(f"replay   {len(ids):,} episodes{f' of {track}' if track else ''}")
-            for done in replay(data, episodes, horizon, _seed(data, track)):
-                tally.episodes += 1
-                tally.steps += done.num_steps
-                tally.equal += not done.differing
-                tally.largest = max(tally.largest, done.largest)
-                if done.differing:
-                    what = f"other {' and '.join(done.differing)} when simulated again"
-                    tally.faults.setdefault((what, track), []).append(ids[done.place])
+        for track, ids, episodes, horizon in chosen(material, amount):
+            of = f" of {track}" if track else ""
+            say(f"replay   {len(ids):,} episodes{of}")
+            first = tally.episodes
+            for done in replay(data, episodes, horizon, _seed(data, track), workers):
+                tally.add(done, track, ids[done.place])
+                if pace.is_time():
+                    say(f"replay   {tally.episodes - first:,}/{len(ids):,} episodes{of}  "
+                        f"{tally.steps / (time.monotonic() - began):,.0f} steps/s")  # fmt: skip
     except MpdtError as error:
         hint = error.hint or "--skip replay leaves this check out"
         # A file of our own whose goals or seeds the simulator refuses is damaged.
@@ -169,7 +203,11 @@ def check_replay(material: Material, amount: Amount, say: Callable[[str], None])
         damaged = ours and isinstance(error, UsageError | DataError)
         outcome = Outcome.FAIL if damaged else Outcome.WARN
         return Finding(ID, outcome, f"not simulated: {error.message()}", hint=hint)
-    if not tally.episodes:
+    if tally.episodes:
+        seconds = max(time.monotonic() - began, 1e-9)
+        say(f"replay   {tally.steps:,} steps in {seconds:.1f} s: {tally.steps / seconds:,.0f} "
+            "steps/s")  # fmt: skip
+    else:
         return nothing(ID, "no episode has a seed" if len(data.episodes) else "no episodes")
     faults = [
         fault(what, sorted(ids), track, doubt=bool(excuse))
@@ -203,46 +241,3 @@ def _other_family(material: Material) -> str:
         return f"{family.name} {told['version']} -> {family.version}"
     same = told["fingerprint"] == definition(family)["fingerprint"]
     return "" if same else f"another definition of {family.name} {family.version}"
-
-
-def _chosen(material: Material, amount: Amount) -> list[tuple[str, list[int], list[Episode], int]]:
-    """(track, ids, episodes, horizon) of the file's own episodes and of each TTA set.
-
-    Imported episodes never had seeds; in a file that was collected somebody took them away.
-    """
-    data = material.dataset
-    tracks = material.tracks()
-    if "import" in data.spec:
-        tracks = [track for track in tracks if _has_seeds(track)]
-    total = sum(len(track) for track in tracks)
-    found = []
-    for track in tracks:
-        kinds = getattr(track.table, "quality", np.zeros(len(track), np.int8))
-        runs: dict[tuple[int, int], list[int]] = {}
-        for i, key in enumerate(zip(track.table.task.tolist(), kinds.tolist(), strict=True)):
-            runs.setdefault(key, []).append(i)
-        ids = sorted(
-            i for run in runs.values() for i in _spread(run, amount, total, data.content_hash)
-        )
-        if not ids:
-            continue
-        if track.horizon is None:
-            raise DataError("its spec has no horizon", where=str(material.path))
-        if track.label:
-            name = track.label.removeprefix("tta ")
-            every = list(tta_episodes(data, name, *material.sim[name]))
-            episodes = [every[i] for i in ids]
-        else:
-            episodes = [data.episode(i) for i in ids]
-        found.append((track.label, ids, episodes, track.horizon))
-    return found
-
-
-def _has_seeds(track: Track) -> bool:
-    return not (track.table.seed_key == np.array(UNKNOWN_SEED_KEY)).all()
-
-
-def _spread(run: list[int], amount: Amount, total: int, content_hash: str) -> list[int]:
-    count = amount.of(len(run), total)
-    offset = int(content_hash[:8], 16) / 2**32
-    return [run[int((k + offset) * len(run) / count)] for k in range(count)]

@@ -17,6 +17,7 @@ import numpy as np
 
 from mpdt.data.lock.file import LockEntry, read_lock
 from mpdt.data.store.origin import damaged_hint
+from mpdt.data.verify.amount import Amount
 from mpdt.data.verify.claims import check_claims
 from mpdt.data.verify.duplicates import DuplicatesCheck
 from mpdt.data.verify.file_format import open_unchecked
@@ -26,14 +27,14 @@ from mpdt.data.verify.hashes import HashCheck
 from mpdt.data.verify.leak import check_leak
 from mpdt.data.verify.material import Material, read_material
 from mpdt.data.verify.quality import check_quality
-from mpdt.data.verify.replay import Amount, check_replay
+from mpdt.data.verify.replay import check_replay
 from mpdt.data.verify.returns import ReturnsCheck
 from mpdt.data.verify.shapes import check_shapes
 from mpdt.data.verify.streaming import StepCheck
 from mpdt.data.verify.tta import check_tta
 from mpdt.data.verify.values import ValuesCheck
 from mpdt.draw.table import markdown_table
-from mpdt.errors import FormatError, MpdtError, quoted, unknown_name
+from mpdt.errors import FormatError, MpdtError, UsageError, quoted, unknown_name
 from mpdt.pace import Pace
 
 CHECKS = (
@@ -62,6 +63,7 @@ def verify(
     replay: str = "2%",
     lock: Path | None = None,
     say: Callable[[str], None] = lambda line: None,
+    workers: int = 0,
 ) -> Report:
     """Check a file. Memory does not grow with it.
 
@@ -71,12 +73,16 @@ def verify(
         replay: `2%` of each run, a number of episodes in all, or `all`.
         lock: datasets.lock to compare with.
         say: told what takes long.
+        workers: processes for long replays, which in a script need `if __name__ == "__main__":`;
+            0 = none.
     Raises: UsageError for an id or amount; MissingFileError; StorageError; FormatError for a
         lock that cannot be read.
     """
     for id in (*only, *skip):
         if id not in CHECKS:
             raise unknown_name("check", id, CHECKS)
+    if workers < 0:
+        raise UsageError("a negative number of workers", found=str(workers))
     wanted = {id for id in CHECKS if (not only or id in only) and id not in skip}
     amount, entries = Amount.parse(replay), read_lock(lock) if lock else {}
     with np.errstate(all="ignore"):
@@ -87,7 +93,7 @@ def verify(
             for id, check in (
                 ("quality", check_quality), ("leak", check_leak),
                 ("claims", partial(check_claims, lock=entry)), ("tta", check_tta),
-                ("replay", partial(check_replay, amount=amount, say=say)),
+                ("replay", partial(check_replay, amount=amount, say=say, workers=workers)),
             ):  # fmt: skip
                 if id in wanted:
                     found.append(_guarded(id, path, partial(check, material)))

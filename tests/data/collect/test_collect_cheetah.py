@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import h5py
 import msgspec
 import numpy as np
+import pytest
 
 from mpdt.data.collect.collect import collect
 from mpdt.data.collect.job import make_job
@@ -18,6 +20,7 @@ from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts
 from mpdt.data.spec.smoke import smoke
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset
+from mpdt.data.verify.verify import verify
 from mpdt.seeding import SeedKey
 
 
@@ -28,13 +31,32 @@ def small_spec() -> DatasetSpec:
     )  # fmt: skip
 
 
-def test_one_worker_equals_two(tmp_path: Path) -> None:
+def test_one_worker_equals_two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hashes = set()
     for workers in (1, 2):
         data = collect(make_job(small_spec()), tmp_path / f"{workers}.h5", workers=workers).dataset
         hashes.add((data.content_hash, data.tta["default"].content_hash))
     assert len(hashes) == 1
     replay(tmp_path / "1.h5")
+    replay_by_workers(tmp_path / "1.h5", monkeypatch)
+
+
+def replay_by_workers(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes find the one wrong reward of the second task that this process finds."""
+    damaged = open_dataset(path).num_episodes - 2
+    with h5py.File(path, "r+") as file:
+        file["steps/rewards"][file["episodes/start"][damaged] + 3] += 1.0
+    monkeypatch.setattr("mpdt.data.verify.replay.ROWS", 4)
+    told: dict[int, list[str]] = {0: [], 2: []}
+    found = []
+    for workers, said in told.items():
+        report = verify(path, only=["replay"], replay="all", workers=workers, say=said.append)
+        found.append(report.findings)
+        monkeypatch.setattr("mpdt.data.verify.replay.WORTH_IT_S", 0.0)
+    assert found[0] == found[1] and found[0][0].episodes == (damaged,)
+    assert "other rewards when simulated again" in found[0][0].text
+    steps = [said[-1].partition(" in ")[0] for said in told.values()]
+    assert steps[0] == steps[1] != "" and told[2][-1].endswith("steps/s")
 
 
 def replay(path: Path) -> None:
