@@ -25,8 +25,8 @@ from mpdt.data.store.tables import Float64, Int64
 from mpdt.data.workers.threads import in_order
 
 QUANTILES = {name: int(name[1:]) / 100 for name in STATS if name.startswith("q")}
-LEAF_ROWS = 1 << 15
-"""At most so many rows at a time; 39 columns of them are 5 MB."""
+LEAF_ROWS = 1 << 14
+"""At most so many rows at a time; 39 columns of them are 2.5 MB."""
 
 _BINS = 1 << 16
 _ORDER = np.concatenate([np.arange(_BINS - 1, _BINS // 2 - 1, -1), np.arange(_BINS // 2)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -106,15 +107,15 @@ class StepTable:
         target: Path,
     ) -> None:
         self.target, self._arrays, self._where = target, arrays, str(target)
-        self._rows = [array.shape[1:] for _, array in arrays]  # h5py asks the file each time
+        self._rows = [rows.shape[1:] for _, rows in arrays]  # h5py asks the file each time
         self._planned = (num_episodes, num_steps)
         self._waiting: list[list[Any]] = [[] for _ in arrays]
         self._first, self._waiting_bytes = (0, 0), 0
         self._last: tuple[int, ...] = ()
         self.num_steps = 0
-        self.table: dict[str, list[Any]] = {
-            name: [] for name in ("task", "goal", "start", "obs_start", "length", "seed_key")
-        }
+        # Packed numbers: a list of a million episodes' holds half a gigabyte.
+        self.table = {name: array("q") for name in ("task", "goal", "start", "obs_start", "length")}
+        self._seed_keys = array("I")
 
     @property
     def num_episodes(self) -> int:
@@ -136,7 +137,8 @@ class StepTable:
                                  found=str(value.shape[1:]))  # fmt: skip
             waiting.append(value)
             self._waiting_bytes += value.nbytes
-        row = (task_row, goal_row, start, start + self.num_episodes, length, episode.seed_key)
+        self._seed_keys.extend(episode.seed_key)
+        row = (task_row, goal_row, start, start + self.num_episodes, length)
         for column, number in zip(self.table.values(), row, strict=True):
             column.append(number)
         self.num_steps += length
@@ -145,11 +147,11 @@ class StepTable:
 
     def _write(self) -> None:
         """What waits, one call per array: h5py needs as long for an episode as for a hundred."""
-        for (name, array), waiting in zip(self._arrays, self._waiting, strict=True):
+        for (name, place), waiting in zip(self._arrays, self._waiting, strict=True):
             if waiting:
                 first = sum(self._first) if name == "observations" else self._first[0]
                 rows = np.concatenate(waiting)
-                array[first : first + len(rows)] = rows
+                place[first : first + len(rows)] = rows
                 waiting.clear()
         self._first, self._waiting_bytes = (self.num_steps, self.num_episodes), 0
 
@@ -179,9 +181,7 @@ class StepTable:
             self._write()
         if (self.num_episodes, self.num_steps) != self._planned:
             self._disagree("{} episodes of {} steps", (self.num_episodes, self.num_steps))
-        table = dict(self.table)
-        table["seed_key"] = np.array(table["seed_key"], "<u4").reshape(-1, 5)  # type: ignore[assignment]
-        return table
+        return self.table | {"seed_key": np.array(self._seed_keys, "<u4").reshape(-1, 5)}
 
     def _disagree(self, text: str, counts: tuple[int, int]) -> None:
         raise DataError("not the announced number of episodes", where=self._where,

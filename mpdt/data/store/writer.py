@@ -9,6 +9,7 @@ target stays untouched until the new one is on the disk.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from mpdt.data.reference import References
 from mpdt.data.spec.entry import canonical_json, spec_hash
@@ -131,11 +133,13 @@ def _fill(
 def _append_episodes(
     file: h5py.File, table: columns.StepTable, header: FileHeader, source: EpisodeSource,
     tasks: columns.TaskIndex, goals: columns.GoalTable, target: Path,
-) -> list[bytes]:  # fmt: skip
+) -> NDArray[np.uint8]:  # fmt: skip
     policies = {(policy.task, policy.hash): row for row, policy in enumerate(header.policies)}
-    extra: dict[str, list[Any]] = {
-        name: [] for name in ("policy", "quality", "progress", "return", "success", "digest")
-    }
+    extra: dict[str, array[Any]] = {
+        "policy": array("q"), "quality": array("q"), "progress": array("d"),
+        "return": array("d"), "success": array("b"),
+    }  # fmt: skip
+    digests = bytearray()
     for episode in source.episodes:
         row, policy = tasks.row(episode.task), policies.get((episode.task, episode.policy))
         if policy is None:
@@ -143,24 +147,23 @@ def _append_episodes(
                             found=f"task {episode.task}, {episode.policy.hex()[:12]}")  # fmt: skip
         with disk(target):
             table.append(episode, row, goals.row(row, episode.goal))
-        digest = episode_digest(episode, tasks.name(episode.task))
+        digests += episode_digest(episode, tasks.name(episode.task))
         values = (policy, episode.quality, episode.progress, episode.episode_return,
-                  episode.success, digest)  # fmt: skip
+                  episode.success)  # fmt: skip
         for column, value in zip(extra.values(), values, strict=True):
             column.append(value)
-    digests: list[bytes] = extra["digest"]
-    values_by_name: dict[str, Any] = table.finish() | extra
-    values_by_name["digest"] = np.frombuffer(b"".join(digests), np.uint8).reshape(-1, 32)
+    found = np.frombuffer(digests, np.uint8).reshape(-1, 32)
+    values_by_name: dict[str, Any] = table.finish() | extra | {"digest": found}
     values_by_name["source"] = source.source_ids
-    if source.source_ids is not None and len(source.source_ids) != len(digests):
+    if source.source_ids is not None and len(source.source_ids) != len(found):
         raise DataError("source ids and episodes disagree", where=str(target),
-                        expected=str(len(digests)), found=str(len(source.source_ids)))  # fmt: skip
+                        expected=str(len(found)), found=str(len(source.source_ids)))  # fmt: skip
     with disk(target):
         group = file.create_group("episodes")
         columns.write_table(group, layout.EPISODES, values_by_name)
         codes = canonical_json(layout.quality_codes(set(extra["quality"]))).decode()
         group["quality"].attrs["codes"] = codes
-    return digests
+    return found
 
 
 def _write_tasks_and_policies(
@@ -215,9 +218,9 @@ def write_slice(file: h5py.File, name: str, chosen: Slice, dataset: Dataset) -> 
                         expected=f"0 to {dataset.num_episodes - 1}",
                         found=f"{ids.tolist()[:6]} of {ids.size}")  # fmt: skip
     group = file.require_group("slices")
-    array = group.create_dataset(layout.checked_name(name), data=ids.astype("<i8"))
-    layout.write_json(array, "rule", dict(chosen.rule))
-    array.attrs["parent"] = dataset.content_hash
+    kept = group.create_dataset(layout.checked_name(name), data=ids.astype("<i8"))
+    layout.write_json(kept, "rule", dict(chosen.rule))
+    kept.attrs["parent"] = dataset.content_hash
 
 
 def write_stats(file: h5py.File, stats: Stats) -> None:
