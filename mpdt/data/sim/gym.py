@@ -20,13 +20,13 @@ from gymnasium.error import ResetNeeded
 
 from mpdt.data.sim.camera import SIDE, Camera, Pixels, check_render_mode, drawing, no_render_mode
 from mpdt.data.sim.metaworld import (
-    ACTION_SIZE,
     GOAL_COLUMNS,
     MAX_STEPS,
     OBSERVATION_SIZE,
     MetaworldEnv,
     quiet,
 )
+from mpdt.data.sim.scripts import ACTION_SIZE
 from mpdt.data.sim.single import single_env
 from mpdt.data.spec.family import resolve, view_of
 from mpdt.data.spec.tasks import get_family

@@ -29,6 +29,7 @@ from mpdt.data.sim.batch import BoolArray, FloatArray, StepResult
 from mpdt.data.sim.contacts import FingerContacts
 from mpdt.data.sim.lockstep.rows import TaskRows
 from mpdt.data.sim.sawyer import quick_class
+from mpdt.data.sim.scripts import ACTION_SIZE
 from mpdt.errors import ShapeError, SimulatorError, UsageError, unknown_name
 from mpdt.seeding import SeedKey, Stream
 
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from mpdt.data.spec.tasks import Family, Task
 
 OBSERVATION_SIZE = 39  # 18 now, 18 one step earlier, goal 3
-ACTION_SIZE = 4  # hand displacement * 0.01 m, gripper effort
 GOAL_COLUMNS = slice(36, 39)
 MAX_STEPS = 500  # the envs refuse a further step
 

@@ -17,8 +17,7 @@ from mpdt.data.sim.actors import (
     definition_hash,
     uniform_actions,
 )
-from mpdt.data.sim.metaworld import ACTION_SIZE
-from mpdt.data.sim.scripts import Expert, corrections_of
+from mpdt.data.sim.scripts import ACTION_SIZE, Expert, corrections_of
 from mpdt.data.spec.family import Family, Task
 from mpdt.errors import UsageError
 from mpdt.seeding import Stream

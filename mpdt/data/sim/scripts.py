@@ -34,6 +34,7 @@ from mpdt.errors import unknown_name
 
 SCRIPTS: Mapping[str, Script] = MappingProxyType({**GRIPPING, **PRESSING})
 
+ACTION_SIZE = 4
 FINGERS = 0.045  # m from the hand down to the point between the fingertips
 
 
