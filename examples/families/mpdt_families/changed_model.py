@@ -15,15 +15,20 @@ Source: rand_param_envs, as PEARL (Rakelly et al. 2019) and Meta-DT (Wang et al.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from safetensors.numpy import load_file
 
 import mpdt
 
 BASES = {"body_mass": 1.5, "body_inertia": 1.5, "dof_damping": 1.3, "geom_friction": 1.5}
 LIMIT = 3.0
+WEIGHTS = Path(__file__).with_name("weights")
+LAYERS = ("w0", "b0", "w1", "b1", "w2", "b2")
 NUM_TASKS, NUM_TEST = 50, 5
 HORIZON = 200
 PRETRAIN = {
@@ -59,6 +64,30 @@ def changed_tasks(seed: int, size: int) -> tuple[mpdt.Task, ...]:
         mpdt.Task(f"params-{i:02d}", i, "test" if i >= first_test else "train", tuple(draw))
         for i, draw in enumerate(draws.tolist())
     )
+
+
+def trained(name: str) -> Any:
+    """The expert: the last rung of `mpdt-data pretrain NAME`, (B, D) and (B, G) -> (B, A).
+
+    Its rungs know no medium one for every task: learning is too quick at first. As a script, it is
+    mixed with uniform actions, at a rate that `mpdt-data calibrate` finds.
+    """
+
+    @cache
+    def weights() -> dict[str, Any]:
+        arrays = load_file(WEIGHTS / f"{name}.safetensors")
+        last = max(key.partition("/")[0] for key in arrays)
+        return {key: arrays[f"{last}/{key}"] for key in ("mean", "std", *LAYERS)}
+
+    def act(observations: Any, goals: Any) -> Any:
+        w = weights()
+        seen = np.concatenate([observations, goals], axis=1)
+        x = np.clip((seen - w["mean"]) / w["std"], -10, 10).astype(np.float32)
+        for layer in "01":
+            x = np.tanh(x @ w[f"w{layer}"] + w[f"b{layer}"])
+        return x @ w["w2"] + w["b2"]
+
+    return act
 
 
 def columns(joints: Sequence[str]) -> tuple[str, ...]:

@@ -7,7 +7,15 @@ from typing import Any
 from gymnasium.envs.mujoco.hopper_v5 import HopperEnv
 
 import mpdt
-from mpdt_families.changed_model import HORIZON, PRETRAIN, RULES, change, changed_tasks, columns
+from mpdt_families.changed_model import (
+    HORIZON,
+    PRETRAIN,
+    RULES,
+    change,
+    changed_tasks,
+    columns,
+    trained,
+)
 
 PARAMS_SEED = 20240904
 NUM_PARAMS = 4 + 12 + 3 + 15
@@ -29,6 +37,7 @@ hopper_params = mpdt.Family(
     return_target=300.0,
     return_scale=200.0,
     env=make,
+    scripts={"trained": trained("hopper_params")},
     pretrain=PRETRAIN,
     ends_early=False,
     packages=("mujoco",),

@@ -7,7 +7,15 @@ from typing import Any
 from gymnasium.envs.mujoco.walker2d_v5 import Walker2dEnv
 
 import mpdt
-from mpdt_families.changed_model import HORIZON, PRETRAIN, RULES, change, changed_tasks, columns
+from mpdt_families.changed_model import (
+    HORIZON,
+    PRETRAIN,
+    RULES,
+    change,
+    changed_tasks,
+    columns,
+    trained,
+)
 
 PARAMS_SEED = 20240903
 NUM_PARAMS = 7 + 21 + 6 + 24
@@ -29,6 +37,7 @@ walker_params = mpdt.Family(
     return_target=400.0,
     return_scale=200.0,
     env=make,
+    scripts={"trained": trained("walker_params")},
     pretrain=PRETRAIN,
     ends_early=False,
     packages=("mujoco",),

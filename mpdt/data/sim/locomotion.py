@@ -93,6 +93,12 @@ class LocomotionBatch:
         found: Floats = self._robot.observe(qpos, qvel, self._torso[row : row + 1])[0]
         return found
 
+    def place(self, state: Floats, goals: Floats) -> None:
+        """Put every row where `state` (B, nq + nv) says, with goals (B,)."""
+        self._goals[:] = goals
+        self._state[:, 0], self._state[:, 1:] = 0.0, state
+        self._torso = self._robot.torso(self._state[:, self._qpos])
+
     def use_threads(self, threads: int) -> None:
         """Step with so many native threads from now on."""
         self._datas = [mujoco.MjData(self._model) for _ in range(threads)]

@@ -103,6 +103,9 @@ class Family:
             mixed with uniform actions; default: one made of `scripts`.
         single: `single(family, task, **kwargs)` -> the gymnasium.Env of a family that is stepped
             in another way; it keeps horizon and hidden columns itself.
+        one_step: `one_step(family, observations, actions, goals, options)` -> next observations
+            (N, D) and rewards (N,), where an observation (N, D) tells the simulator's state; nan in
+            columns that it does not tell. Shows whether imported data are of this simulator.
         pretrain: how its behaviour network is trained, where not as `PretrainSettings` of
             `training.py` has it; `mpdt-data pretrain NAME` reads it.
         steps_per_s: of one worker, for estimates only.
@@ -144,6 +147,7 @@ class Family:
     rates: str = ""
     scripted: Hook = None
     single: Hook = None
+    one_step: Hook = None
     pretrain: Mapping[str, float] = field(default_factory=dict, hash=False)
     steps_per_s: float = 5_000.0
     policy_rows: int = 25

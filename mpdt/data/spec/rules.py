@@ -105,7 +105,9 @@ def _hooks(family: Family) -> Iterator[str]:
     given = [key for key in ("env", "vector", "batch") if getattr(family, key) is not None]
     if len(given) != 1:
         yield f"env, vector, batch: exactly one of them, found {', '.join(given) or 'none'}"
-    places = [(key, getattr(family, key)) for key in (*given, "inputs", "scripted", "single")]
+    places = [
+        (key, getattr(family, key)) for key in (*given, "inputs", "scripted", "single", "one_step")
+    ]
     places += [(f"script {name}", hook) for name, hook in family.scripts.items()]
     for key, hook in places:
         is_words = isinstance(hook, str) and all(hook.partition(":"))

@@ -31,6 +31,7 @@ from mpdt.data.store.origin import again_hint
 from mpdt.data.verify.amount import Amount, chosen
 from mpdt.data.verify.finding import Fault, Finding, Outcome, fault, judge, nothing
 from mpdt.data.verify.material import Material
+from mpdt.data.verify.one_step import with_one_step
 from mpdt.data.workers.processes import map_blocks
 from mpdt.errors import DataError, MpdtError, UsageError, quoted
 from mpdt.pace import Pace
@@ -208,7 +209,8 @@ def check_replay(
         say(f"replay   {tally.steps:,} steps in {seconds:.1f} s: {tally.steps / seconds:,.0f} "
             "steps/s")  # fmt: skip
     else:
-        return nothing(ID, "no episode has a seed" if len(data.episodes) else "no episodes")
+        bare = nothing(ID, "no episode has a seed" if len(data.episodes) else "no episodes")
+        return with_one_step(bare, material)
     faults = [
         fault(what, sorted(ids), track, doubt=bool(excuse))
         for (what, track), ids in tally.faults.items()

@@ -46,7 +46,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
         folder.mkdir()
         for path in (*HERE.glob("*.json"), *HERE.glob("*.yaml")):
             shutil.copy(path, folder)
-        shutil.copytree(HERE / "weights", folder / "weights")
+
         monkeypatch.chdir(folder)
         yield folder
 
