@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,7 +39,12 @@ def one_step(
     else:
         x, rest = np.zeros((rows, 2)), observations
     batch.place(np.concatenate([x, rest], axis=1), goals[:, 0])
-    result = batch.step(actions)
+    # MuJoCo prints of states that explode, and writes a log into the working folder.
+    mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        result = batch.step(actions)
+    finally:
+        mujoco.set_mju_user_warning(None)
     found = result.observations.copy()
     if cheetah:
         found[:, _CHEETAH_TORSO_X] = np.nan

@@ -68,7 +68,8 @@ def differences(dataset: Dataset, most: int = MOST) -> Differences | None:
         family, np.concatenate(first).astype(np.float64), np.concatenate(actions),
         np.concatenate(goals), options,
     )  # fmt: skip
-    apart = np.nanmax(np.abs(found - np.concatenate(second)), axis=1)
+    told = ~np.isnan(found).all(axis=0)
+    apart = np.abs(found - np.concatenate(second))[:, told].max(axis=1)
     stored = np.concatenate(rewards).astype(np.float64)
     off = np.abs(paid - stored)
     return Differences(len(chosen), (float(np.median(apart)), float(apart.max())),

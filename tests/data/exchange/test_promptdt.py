@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.exchange import promptdt
-from mpdt.data.exchange.foreign import _natural
+from mpdt.data.exchange.foreign import natural
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 from mpdt.seeding import UNKNOWN_SEED_KEY
@@ -315,7 +315,7 @@ def test_an_export_appears_whole_or_not_at_all(
 def test_numbers_in_names_count_as_numbers() -> None:
     """The order of the episodes in the new file is that of the names."""
     names = ["x-10.pkl", "x-9-b.pkl", "x-9.pkl", "x-2.pkl"]
-    assert sorted(names, key=_natural) == ["x-2.pkl", "x-9-b.pkl", "x-9.pkl", "x-10.pkl"]
+    assert sorted(names, key=natural) == ["x-2.pkl", "x-9-b.pkl", "x-9.pkl", "x-10.pkl"]
 
 
 def test_prompts_are_the_first_five_episodes(
