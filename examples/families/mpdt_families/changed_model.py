@@ -14,6 +14,7 @@ Source: rand_param_envs, as PEARL (Rakelly et al. 2019) and Meta-DT (Wang et al.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -28,7 +29,7 @@ import mpdt
 BASES = {"body_mass": 1.5, "body_inertia": 1.5, "dof_damping": 1.3, "geom_friction": 1.5}
 LIMIT = 3.0
 WEIGHTS = Path(__file__).with_name("weights")
-LAYERS = ("w0", "b0", "w1", "b1", "w2", "b2")
+LAYERS = ("mean", "std", "w0", "b0", "w1", "b1", "w2", "b2")
 NUM_TASKS, NUM_TEST = 50, 5
 HORIZON = 200
 PRETRAIN = {
@@ -66,26 +67,35 @@ def changed_tasks(seed: int, size: int) -> tuple[mpdt.Task, ...]:
     )
 
 
-def trained(name: str) -> Any:
-    """The expert: the last rung of `mpdt-data pretrain NAME`, (B, D) and (B, G) -> (B, A).
+def trained(name: str, tasks: Sequence[mpdt.Task]) -> Any:
+    """The expert: of each task the best rung of `mpdt-data pretrain NAME`, by the returns that its
+    record tells; (B, D) and (B, G) -> (B, A).
 
-    Its rungs know no medium one for every task: learning is too quick at first. As a script, it is
+    The rungs know no medium one for every task: learning is too quick at first. As a script, it is
     mixed with uniform actions, at a rate that `mpdt-data calibrate` finds.
     """
 
     @cache
-    def weights() -> dict[str, Any]:
+    def rungs() -> tuple[list[dict[str, Any]], dict[tuple[float, ...], int]]:
         arrays = load_file(WEIGHTS / f"{name}.safetensors")
-        last = max(key.partition("/")[0] for key in arrays)
-        return {key: arrays[f"{last}/{key}"] for key in ("mean", "std", *LAYERS)}
+        names = sorted({key.partition("/")[0] for key in arrays})
+        told = json.loads((WEIGHTS / f"{name}.json").read_text("utf-8"))["rungs"]
+        best = {task.goal: max(range(len(told)), key=lambda i: told[i]["returns"][task.name])
+                for task in tasks}  # fmt: skip
+        return [{key: arrays[f"{rung}/{key}"] for key in LAYERS} for rung in names], best
 
     def act(observations: Any, goals: Any) -> Any:
-        w = weights()
-        seen = np.concatenate([observations, goals], axis=1)
-        x = np.clip((seen - w["mean"]) / w["std"], -10, 10).astype(np.float32)
-        for layer in "01":
-            x = np.tanh(x @ w[f"w{layer}"] + w[f"b{layer}"])
-        return x @ w["w2"] + w["b2"]
+        weights, best = rungs()
+        chosen = np.array([best[tuple(goal)] for goal in goals.tolist()])
+        actions = np.zeros((len(observations), weights[0]["b2"].size))
+        for rung in set(chosen.tolist()):
+            rows, w = chosen == rung, weights[rung]
+            seen = np.concatenate([observations[rows], goals[rows]], axis=1)
+            x = np.clip((seen - w["mean"]) / w["std"], -10, 10).astype(np.float32)
+            for layer in "01":
+                x = np.tanh(x @ w[f"w{layer}"] + w[f"b{layer}"])
+            actions[rows] = x @ w["w2"] + w["b2"]
+        return actions
 
     return act
 

@@ -19,6 +19,7 @@ from mpdt_families.changed_model import (
 
 PARAMS_SEED = 20240904
 NUM_PARAMS = 4 + 12 + 3 + 15
+TASKS = changed_tasks(PARAMS_SEED, NUM_PARAMS)
 JOINTS = ("thigh", "leg", "foot")
 
 
@@ -29,7 +30,7 @@ def make(task: mpdt.Task) -> Any:
 
 hopper_params = mpdt.Family(
     name="hopper_params",
-    tasks=changed_tasks(PARAMS_SEED, NUM_PARAMS),
+    tasks=TASKS,
     columns=columns(JOINTS),
     action_size=3,
     horizon=HORIZON,
@@ -37,7 +38,7 @@ hopper_params = mpdt.Family(
     return_target=300.0,
     return_scale=200.0,
     env=make,
-    scripts={"trained": trained("hopper_params")},
+    scripts={"trained": trained("hopper_params", TASKS)},
     pretrain=PRETRAIN,
     ends_early=False,
     packages=("mujoco",),

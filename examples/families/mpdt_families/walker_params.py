@@ -19,6 +19,7 @@ from mpdt_families.changed_model import (
 
 PARAMS_SEED = 20240903
 NUM_PARAMS = 7 + 21 + 6 + 24
+TASKS = changed_tasks(PARAMS_SEED, NUM_PARAMS)
 JOINTS = ("thigh", "leg", "foot", "thigh_left", "leg_left", "foot_left")
 
 
@@ -29,7 +30,7 @@ def make(task: mpdt.Task) -> Any:
 
 walker_params = mpdt.Family(
     name="walker_params",
-    tasks=changed_tasks(PARAMS_SEED, NUM_PARAMS),
+    tasks=TASKS,
     columns=columns(JOINTS),
     action_size=6,
     horizon=HORIZON,
@@ -37,7 +38,7 @@ walker_params = mpdt.Family(
     return_target=400.0,
     return_scale=200.0,
     env=make,
-    scripts={"trained": trained("walker_params")},
+    scripts={"trained": trained("walker_params", TASKS)},
     pretrain=PRETRAIN,
     ends_early=False,
     packages=("mujoco",),

@@ -147,6 +147,11 @@ def family_of(name: str, definition: Mapping[str, Any]) -> Family:
     return found
 
 
+def installed() -> list[str]:
+    """Names of the families of installed packages; none of them is imported."""
+    return sorted({point.name for point in metadata.entry_points(group=GROUP)})
+
+
 def find_own(name: str) -> Family | None:
     """The family of that name among installed packages and in the working folder's yaml.
 

@@ -197,11 +197,11 @@ def get_family(name: str) -> Family:
     Raises: UsageError naming the nearest family; SpecError for one's own that cannot be used.
     """
     if name not in FAMILIES:
-        from mpdt.data.spec.own import find_own  # it registers here what it finds
+        from mpdt.data.spec.own import find_own, installed  # it registers here what it finds
 
         if (found := find_own(name)) is not None:
             return found
-        raise unknown_name("family", name, FAMILIES)
+        raise unknown_name("family", name, dict.fromkeys([*FAMILIES, *installed()]))
     return FAMILIES[name]
 
 

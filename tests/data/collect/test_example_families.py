@@ -23,6 +23,7 @@ from mpdt.data.spec.tasks import get_family
 from mpdt.data.verify import family as checks
 from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import verify
+from mpdt.errors import UsageError
 
 HERE = Path(__file__).parents[3] / "examples/families"
 PROJECT = tomllib.loads((HERE / "pyproject.toml").read_text())["project"]
@@ -57,6 +58,13 @@ def entry(name: str) -> DatasetSpec:
     last = len(get_family(name).tasks) - 1
     few = EpisodeCounts(random=2, expert=2, history=2)
     return msgspec.structs.replace(spec, tasks=(0, 1, last - 1, last), episodes=few)
+
+
+def test_a_name_that_is_nearly_one_is_told_of() -> None:
+    with pytest.raises(
+        UsageError, match=r"unknown family 'point_robo' .did you mean 'point_robot'"
+    ):
+        get_family("point_robo")
 
 
 @pytest.mark.parametrize("name", NAMES)
