@@ -111,7 +111,7 @@ def notebook_text(cells: list[dict[str, Any]], pages: Path) -> str:
             if "image/png" in shown:
                 name = f"first_steps-{number}.png"
                 (pages / name).write_bytes(base64.b64decode("".join(shown["image/png"])))
-                parts.append(f"![What the cell above drew]({name})")
+                parts.append(f'<img alt="What the cell above drew" src="{name}">')
             elif "text/html" in shown:
                 parts.append("".join(shown["text/html"]))
             else:

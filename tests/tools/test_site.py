@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import pkgutil
+import re
 import subprocess
 import sys
 import tomllib
@@ -91,9 +93,20 @@ def test_a_notebook_becomes_a_page(build_site: ModuleType, tmp_path: Path) -> No
     made = build_site.notebook_text(cells, tmp_path)
     assert made == (
         "# T\ntext\n\n```python\n1\n```\n\n```text\n1\n```\n\n```python\nd\n```\n\n<div>x</div>\n\n"
-        "```python\np\n```\n\n![What the cell above drew](first_steps-3.png)\n"
+        '```python\np\n```\n\n<img alt="What the cell above drew" src="first_steps-3.png">\n'
     )
     assert (tmp_path / "first_steps-3.png").read_bytes() == b"hi"
+
+
+def test_docstrings_of_the_reference_name_one_parameter_a_line() -> None:
+    """What griffe cannot read ends the build of the site, minutes later."""
+    page = (ROOT / "docs/reference/api.md").read_text("utf-8")
+    for name in re.findall(r"^## (mpdt\.[\w.]+)$", page, re.MULTILINE):
+        found: Any = pkgutil.resolve_name(re.sub(r"\.(\w+)$", r":\1", name))
+        texts = [found.__doc__, *(getattr(one, "__doc__", "") for one in vars(found).values())]
+        for text in texts:
+            part = (text or "").partition("Args:")[2].partition("Raises:")[0]
+            assert not re.findall(r"^ +\w+, \w+: .*", part, re.MULTILINE), name
 
 
 def test_a_data_sets_card_stands_under_its_heading(build_site: ModuleType) -> None:

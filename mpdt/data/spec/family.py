@@ -50,7 +50,9 @@ class View:
     """From where a camera looks at a MuJoCo scene.
 
     Args:
-        azimuth, elevation: degrees. distance: m.
+        azimuth: degrees.
+        elevation: degrees.
+        distance: m.
         at: m, the point it looks at; None = the body `torso`, which it follows.
         floor: geom whose picture is made ten times as large, where actors run past its end.
     """
@@ -70,11 +72,13 @@ class Family:
         name: of the family; what it is called in datasets.yaml and in files.
         tasks: in a fixed order: append, never reorder.
         columns: `name [unit]` of every observation column; unit `1` has no dimension.
-        action_low, action_high: bounds of every action component, in the env's own unit.
+        action_low: of every action component, in the env's own unit.
+        action_high: likewise.
         horizon: steps after which an episode is truncated.
         step_s: seconds of simulated time per step.
-        return_target, return_scale: the fixed return asked for at test time and its divisor;
-            for a full-length episode, in summed reward. Never computed from test data.
+        return_target: the fixed return asked for at test time, of a full-length episode, in summed
+            reward. Never computed from test data.
+        return_scale: its divisor.
         env: `env(task, **options)` -> gymnasium.Env of one task.
         vector: `vector(tasks, **options)` -> gymnasium VectorEnv, one row per task.
         batch: `batch(family, tasks, options)` -> `BatchEnv` of `sim/batch.py`, the quickest.

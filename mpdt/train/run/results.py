@@ -97,8 +97,7 @@ class Results(dict[str, Any]):
 def read_results(folder: Path | str) -> Results:
     """results.json of a run's folder: settings, data, and under `scores` every row of its tables.
 
-    Raises: MissingFileError for a run that has not ended; FormatError for one that was changed;
-        StorageError.
+    Raises: MissingFileError for a run that has not ended; FormatError for one that was changed.
     """
     folder = Path(folder)
     RunFolder(folder).refuse_links()
