@@ -30,10 +30,10 @@ class Slices(dict[str, Int64]):
 
     def _repr_html_(self) -> str:
         rows = [
-            (name, f"{len(ids):,}", " ".join(f"{k}={v}" for k, v in self.rules[name].items()))
+            (name, " ".join(f"{k}={v}" for k, v in self.rules[name].items()), f"{len(ids):,}")
             for name, ids in self.items()
         ]
-        return html_table(Table("slices", ("slice", "episodes", "rule"), tuple(rows)))
+        return html_table(Table("slices", ("slice", "rule", "episodes"), tuple(rows)))
 
 
 def dataset_html(data: Dataset) -> str:

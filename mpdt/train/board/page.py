@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -42,6 +43,8 @@ command that makes the line again; this page shows the best {best} methods of ea
   the mean of the middle half of all levels of tasks and seeds; its interval resamples seeds within
   a task, so one seed has none. Both as Agarwal et al. 2021 define them; `rliable` gives the same
   numbers (`tests/train/evaluate/test_rliable.py`).
+- **made by**: study and name of the first seed's cell, which
+  `mpdt-train study STUDY --only CELL --restart` makes again; else the whole command.
 - **The first of many** is flattered, the more so the more methods a protocol has; "6 of N" says how
   many.
 
@@ -81,7 +84,8 @@ def board_page(rows: Sequence[Row], published: Sequence[Sequence[str]], pictures
             ranked = ranking(own, protocol)
             shown = ranked if protocol == REFERENCE else ranked[:BEST]
             more = f", {BEST} of {len(ranked)}" if len(shown) < len(ranked) else ""
-            parts.append(f"\n### {family}: {protocol}{more}\n")
+            plain = protocol in (REFERENCE, TRAINED)
+            parts.append(f"\n### {family}{': ' if plain else ', reads '}{protocol}{more}\n")
             parts.append(markdown_table(HEADINGS, map(_line, shown)))
         parts.append(f"\n![Profiles and chances of {family}]({pictures}/{picture_name(family)})\n")
     parts.append(OTHERS + markdown_table(PUBLISHED, published, numbers=False))
@@ -94,8 +98,14 @@ def _line(one: Standing) -> tuple[str, ...]:
     return (
         pooled(row.method), "-" if is_known else str(len(one.rows)), f"{one.mean:,.1f}",
         "-" if one.success is None else f"{one.success:.0%}", f"{one.normalised:.2f}",
-        f"{one.iqm:.2f}", interval, f"`{row.command}`" if row.command else "-",
+        f"{one.iqm:.2f}", interval, f"`{_made_by(row.command)}`" if row.command else "-",
     )  # fmt: skip
+
+
+def _made_by(command: str) -> str:
+    """A cell by its study and name, which the page says how to run; anything else as it is."""
+    cell = re.fullmatch(r"mpdt-train study (\S+) --only (\S+) --restart", command)
+    return f"{cell[1]} {cell[2]}" if cell else command
 
 
 def _protocols(own: Sequence[Standing]) -> list[str]:

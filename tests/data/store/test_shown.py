@@ -41,6 +41,6 @@ def test_a_data_set_shows_the_returns_of_its_tasks(
 
 def test_slices_say_their_rules() -> None:
     slices = Slices({"mine": np.arange(1200)}, {"mine": {"quality": "medium"}})
-    assert cells(slices._repr_html_())[1] == ["mine", "1,200", "quality=medium"]
+    assert cells(slices._repr_html_())[1] == ["mine", "quality=medium", "1,200"]
     again = pickle.loads(pickle.dumps(slices))
     assert again._repr_html_() == slices._repr_html_() and dict(again).keys() == {"mine"}

@@ -216,7 +216,7 @@ def test_the_page_shows_what_is_best(tmp_path, lock):
     submit([result(tmp_path, "c", 0, (0.1, 0.9))], board, lock, label="mine")
     rows = read_board(board)
     page = board_page(rows, [["tiny", "zero-shot", "theirs", "7", "x", "y"]], "pictures")
-    assert "### tiny: X alone (published)\n" in page and "| theirs |" in page
+    assert "### tiny, reads X alone (published)\n" in page and "| theirs |" in page
     assert page.index("| mine infer | 1 | 5.0 |") > page.index("| MPDT-ones infer | 2 | 5.0 |")
     (picture,) = draw_board(rows, tmp_path)
     drawn = picture.read_text()
