@@ -14,6 +14,7 @@ are pure functions of their seeds, so the bytes are the same.
 from __future__ import annotations
 
 import itertools
+import os
 import socket
 import uuid
 from collections.abc import Callable, Generator, Iterable, Sequence
@@ -31,6 +32,15 @@ PER_CORE = 2
 
 RETRIES = 20
 """Of one block whose node or process was lost. More losses than that end the run."""
+
+MEMORY_RETRIES = 2
+"""Of a task whose worker had more memory than its node; Ray itself tries for ever."""
+
+ANSWER_S = 5.0
+"""How long a cluster may take to answer at all."""
+
+_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
+_SETTINGS = b"\x04"  # type of the frame that each side sends first; RFC 9113, section 3.4
 
 _functions: dict[str, Callable[[Any], Any]] = {}
 """In a worker process: the one function of the latest run, with what it has built so far."""
@@ -84,6 +94,7 @@ def cancel(ray: Any, flying: Iterable[Any]) -> None:
 
 def connect(address: str | None) -> Any:
     """The package, connected to a cluster: see `map_blocks_ray`. Raises: SimulatorError."""
+    os.environ.setdefault("RAY_task_oom_retries", str(MEMORY_RETRIES))  # read when it connects
     try:
         import ray
     except ImportError as error:
@@ -96,9 +107,8 @@ def connect(address: str | None) -> Any:
     if address is None:
         options["include_dashboard"] = False
     try:
-        if address and ":" in address:  # Ray itself would try for minutes
-            host, _, port = address.rpartition(":")
-            socket.create_connection((host, int(port)), timeout=10).close()
+        if address and ":" in address:
+            _ask(address)
         ray.init(address=address, runtime_env=runtime, **options)
     except (OSError, RuntimeError, ValueError) as error:
         raise SimulatorError(
@@ -108,6 +118,20 @@ def connect(address: str | None) -> Any:
             hint="ray start --head, then --address auto; or leave --address out",
         ) from error
     return ray
+
+
+def _ask(address: str) -> None:
+    """Whether a server that speaks gRPC, hence HTTP/2, is there: Ray itself would try for a minute.
+
+    Raises: OSError where nobody answers, or something else does; ValueError for no address.
+    """
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    with socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER_S) as there:
+        if os.environ.get("RAY_USE_TLS") == "1":  # it says nothing in plain words
+            return
+        there.sendall(_PREFACE)
+        if there.recv(9)[3:4] != _SETTINGS:
+            raise ConnectionError("something answers that is no Ray cluster")
 
 
 def _work(run: str, shared: list[Any], item: Any) -> Any:
