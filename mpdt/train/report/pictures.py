@@ -129,7 +129,7 @@ def _trials(data: str, cells: Sequence[CellResult]) -> Sheet:
     for row in rows:
         name, count = split_own(row.method)
         if count:
-            found.setdefault(name, []).append((count, row))
+            found.setdefault(f"{name} own episodes", []).append((count, row))
     lines = {name: sorted(own, key=lambda one: one[0]) for name, own in found.items()}
     lines = {name: own for name, own in lines.items() if len(own) > 1}
     keys = {name: f"c{place}" for place, name in enumerate(lines)}

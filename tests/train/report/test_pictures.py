@@ -61,7 +61,7 @@ def test_own_episodes_are_a_line_per_row(tmp_path):
     made = draw_study([CellResult("d", "m", 0, scores, {})], tmp_path)
     (path,) = [path for path in made if path.name == "d-trials.svg"]
     classes, texts = drawn(path)
-    assert {"mean return", "success", "m", "own episodes on each task"} <= set(texts)
+    assert {"mean return", "success", "m own episodes", "own episodes on each task"} <= set(texts)
     assert sum("k-c0" in one for one in classes) >= 2
     few = CellResult("d", "m", 0, scores[:4], {})
     assert "d-trials.svg" not in [path.name for path in draw_study([few], tmp_path / "few")]
