@@ -33,6 +33,7 @@ def train(*words: str) -> object:
     return stopped.value.code
 
 
+@pytest.mark.slow  # the tutorial does as much; this looks at every word
 def test_trained_bundled_and_not_judged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
