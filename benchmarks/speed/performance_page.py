@@ -28,6 +28,7 @@ PATHS = {
     "metaworld_envpool": "Collecting Meta-World, beside EnvPool",
     "storing": "Packing, opening, verifying",
     "sampling": "Drawing windows",
+    "larger": "Windows of a file larger than memory",
     "training": "Training",
     "acting": "Acting and adapting",
     "pretraining": "Behaviour networks",
