@@ -12,6 +12,7 @@ the simulator and is judged is always the policy.
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -30,20 +31,23 @@ AT_ONCE = 64  # windows that go through the policy together
 
 @torch.no_grad()
 def answers(
-    policy: PromptPolicy, prompts: Tensor, returns: ReturnTable, lived: Lived, window: int
-) -> Tensor:
+    policy: PromptPolicy, prompts: Tensor, returns: ReturnTable, lived: Lived, window: int,
+    on_windows: Callable[[int, int], None] = lambda done, of: None,
+) -> Tensor:  # fmt: skip
     """What the policy would do at every step behind each of V prompts (T, V, A), in order.
 
     Windows hold every step once, so a step sees between none and K - 1 steps before it.
 
     Args:
         returns: V rows; the target is asked for at every step.
+        on_windows: told (windows done, their number); may raise to stop.
     """
     V, places = len(prompts), lived.episodes
     wished = torch.zeros(len(lived.steps.rewards), V, policy.action_size)
     ids, starts = cover(places.length, np.arange(len(lived)), window)
     asked = constant_returns(np.full(len(lived), float(returns.target[0])))
     for at in range(0, len(ids), AT_ONCE):
+        on_windows(at, len(ids))
         own, first = ids[at : at + AT_ONCE], starts[at : at + AT_ONCE]
         windows = gather_windows(lived, own[None], first[None], window, asked)
         batch = PolicyBatch.from_windows(windows)

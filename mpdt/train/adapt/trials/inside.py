@@ -57,7 +57,9 @@ def make_inside(
         voices = trained.prompts.task_prompts()[rows].detach()
     echo = None
     if settings.planner.echoes:
-        on_step("echo", 0, 1, f"{len(voices)} prompts")
-        wished = answers(trained.policy, voices, trained.returns.select(rows), lived, window)
+        wished = answers(
+            trained.policy, voices, trained.returns.select(rows), lived, window,
+            lambda done, of: on_step("echo", done, of, f"{len(voices)} prompts"),
+        )  # fmt: skip
         echo = teach(features, lived, wished, settings.world.echo, seed)
     return Inside(features, world, echo, voices)
