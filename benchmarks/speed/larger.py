@@ -34,7 +34,8 @@ import rounds
 import synthetic
 
 GIGABYTES, LIMIT_GIGABYTES, KEPT_FREE = 30, 2.0, 20
-TASKS, PER_TASK, K, BATCHES = 10, 16, 20, 100
+TASKS, PER_TASK, K, BATCHES = 10, 16, 20, 20
+"""With what the kernel reads ahead, more batches would not stay in 2 GiB."""
 GROUPS = Path("/sys/fs/cgroup")
 _PIECE = 1 << 26
 
