@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mpdt.data.slices.ahead import read_no_further
 from mpdt.data.store.rows import JoinedRows
 
 Ids = NDArray[np.int64]
@@ -25,6 +26,7 @@ class Spans:
         self._values, self._offsets = plain(values), np.arange(count)
         parts = values.arrays if isinstance(values, JoinedRows) else [self._values]
         self._views = [_view(part, count) for part in parts]
+        read_no_further(parts)
 
     def at(self, first: Ids) -> NDArray[Any]:
         """A copy (..., count, ...) of the rows from `first` (...) on.

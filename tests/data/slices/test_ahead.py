@@ -1,0 +1,48 @@
+"""Reading ahead is turned off where a file is far larger than memory, and nowhere else."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mpdt.data.slices import ahead
+from mpdt.data.slices.sampler import WindowSampler
+from mpdt.data.store.reader import open_dataset
+
+
+def flags(path: Path) -> list[str]:
+    """Of every map of a file in this process; `rr` says that nothing is read ahead."""
+    found, ours = [], False
+    for line in Path("/proc/self/smaps").read_text().splitlines():
+        if "-" in line.split(" ")[0]:
+            ours = line.endswith(str(path))
+        elif ours and line.startswith("VmFlags:"):
+            found.append(line)
+    return found
+
+
+@pytest.mark.parametrize(("memory", "told"), [(1 << 40, False), (1000, True)])
+def test_only_a_file_that_is_too_large_is_not_read_ahead(tiny_file, monkeypatch, memory, told):
+    monkeypatch.setattr(ahead, "memory_bytes", lambda: memory)
+    data = open_dataset(tiny_file)
+    rows = list(data.tasks.train_rows)
+    sampler = WindowSampler(data, {row: data.select(task=row) for row in rows}, rows, 4, 2, 0)
+    batch = sampler.batch(0)
+    monkeypatch.setattr(ahead, "memory_bytes", lambda: 1 << 40)
+    plain = open_dataset(tiny_file, preload=True)
+    again = WindowSampler(plain, {row: plain.select(task=row) for row in rows}, rows, 4, 2, 0)
+    np.testing.assert_array_equal(batch.observations, again.batch(0).observations)
+    assert any(" rr" in line for line in flags(tiny_file)) is told
+
+
+def test_a_control_group_may_allow_less_than_the_machine_has(tmp_path, monkeypatch):
+    whole = ahead.memory_bytes()
+    assert 0 < whole < 1 << 50
+    limits = {"/proc/self/cgroup": "0::/a/b\n", "/sys/fs/cgroup/a/b/memory.max": "4096\n"}
+    monkeypatch.setattr(Path, "read_text", lambda self: limits[str(self)])
+    assert ahead.memory_bytes() == 4096
+    limits["/sys/fs/cgroup/a/b/memory.max"] = "max\n"
+    assert ahead.memory_bytes() >= whole
+    old = "4:cpu,memory:/a\n"
+    limits |= {"/proc/self/cgroup": old, "/sys/fs/cgroup/memory/a/memory.limit_in_bytes": "8192\n"}
+    assert ahead.memory_bytes() == 8192
