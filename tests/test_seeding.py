@@ -53,7 +53,7 @@ def test_every_part_of_the_key_matters() -> None:
     ]
     seeds = {KEY.env_seed(), *(key.env_seed() for key in others)}
     seeds |= {KEY.env_seed(stream) for stream in Stream}
-    assert len(seeds) == 7 + 3
+    assert len(seeds) == 7 + 4
 
 
 def test_stored_codes_never_change() -> None:
@@ -76,7 +76,7 @@ def test_stored_codes_never_change() -> None:
         "POLICY": 13,
         "TRIAL": 14,
     }
-    assert [int(stream) for stream in Stream] == [0, 1, 2, 3]
+    assert [int(stream) for stream in Stream] == [0, 1, 2, 3, 4]
 
 
 def test_streams_of_training_keep_their_numbers() -> None:
