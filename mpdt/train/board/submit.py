@@ -9,6 +9,7 @@ refused, unless it is to be replaced or has a name of its own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,6 +101,13 @@ def rows_at(
     )
     if all(row.protocol == REFERENCE for row in rows):
         raise UsageError("nothing in it but references", where=path, hint=_JUDGE)
+    for row in rows:
+        if not all(map(math.isfinite, (row.normalised, *(level for _, level in row.levels)))):
+            raise UsageError(f"{row.method} has no level, and a board compares levels", where=path,
+                             expected="episodes as long as those of the data's references",
+                             found=f"{row.horizon} steps an episode",
+                             hint="judge it with --evaluation.horizon 0, that of the data; data without "
+                                  "references of random and expert has no levels")  # fmt: skip
     return rows
 
 

@@ -25,10 +25,11 @@ CONTENT = "ab" * 32
 
 
 def scores(method, levels, reads="X", block="test"):
-    """Two tasks, returns ten times their levels."""
+    """Two tasks, returns ten times their levels; -1 where there is no level."""
     tasks = dict(zip(("left", "right"), levels, strict=True))
     tasks[MEAN] = sum(levels) / 2
-    return [Score(block=block, task=task, method=method, mean=10 * level, low=0.0, high=1.0,
+    return [Score(block=block, task=task, method=method, low=0.0, high=1.0,
+                  mean=-1.0 if math.isnan(level) else 10 * level,
                   normalised=level, reads=reads, num_episodes=5)
             for task, level in tasks.items()]  # fmt: skip
 
@@ -114,6 +115,9 @@ def test_what_else_is_refused(tmp_path, lock, capsys):
         submit([result(tmp_path, complete=False)], board, lock)
     with pytest.raises(UsageError, match="no result there"):
         submit([tmp_path / "none"], board, lock)
+    with pytest.raises(UsageError, match=r"MPDT-ones infer has no level.* found 9 steps"):
+        submit([result(tmp_path, "shorter", levels=(math.nan, math.nan))], board, lock)
+    assert not board.exists()
     text = result(tmp_path).read_text()
     (tmp_path / "edited.json").write_text(text.replace('"mean": 2.0', '"mean": 9.0'))
     with pytest.raises(FormatError, match="changed after it was written"):
