@@ -31,9 +31,11 @@ def import_named(words: str, folder: Path | None) -> Any:
     except BaseException as error:
         text = " ".join(str(error).split())
         told = f"{type(error).__name__}: {text}"[:200] if text else type(error).__name__
-        raise UsageError(f"cannot be imported: {told}", where=module_name,
-                         hint="-v shows where; modules are looked for beside datasets.yaml and in "
-                         "what is installed") from error  # fmt: skip
+        hint = "-v shows where; modules are looked for beside datasets.yaml and in what is "
+        hint += "installed"
+        if "/" in module_name or module_name.endswith(".py"):
+            hint = f"a module's name, not a file's: {Path(module_name).stem}:{path}"
+        raise UsageError(f"cannot be imported: {told}", where=module_name, hint=hint) from error
     finally:
         if here is not None:
             sys.path.remove(here)
@@ -43,6 +45,8 @@ def import_named(words: str, folder: Path | None) -> Any:
     for name in path.split("."):
         if not hasattr(found, name):
             near = nearest(name, [each for each in vars(module) if not each.startswith("_")])
-            raise UsageError(f"no '{name}' in it {near}".rstrip(), where=words)
+            where = getattr(module, "__file__", None) or "a folder without __init__.py"
+            raise UsageError(f"no '{name}' in it {near}".rstrip(), where=words,
+                             hint=f"what was imported is {where}")  # fmt: skip
         found = getattr(found, name)
     return found

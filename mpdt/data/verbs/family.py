@@ -36,11 +36,15 @@ class CheckFamily(Options):
         from mpdt.data.verify.family import check_family
         from mpdt.data.verify.finding import Outcome
         from mpdt.data.verify.verify import summary
-        from mpdt.errors import DataError
+        from mpdt.errors import DataError, UsageError
 
         if self.spec is not None:
             load_catalog(self.spec)  # it declares families
-        family = get_family(self.name)
+        try:
+            family = get_family(self.name)
+        except UsageError:
+            load_catalog()  # a mistake in datasets.yaml comes before a name that it may hide
+            raise
         found = check_family(family, seed=self.seed)
         self.print(
             {"family": family.name, "version": family.version, "module": family.module,

@@ -106,8 +106,8 @@ def rows_at(
             raise UsageError(f"{row.method} has no level, and a board compares levels", where=path,
                              expected="episodes as long as those of the data's references",
                              found=f"{row.horizon} steps an episode",
-                             hint="judge it with --evaluation.horizon 0, that of the data; data without "
-                                  "references of random and expert has no levels")  # fmt: skip
+                             hint="judge it with --evaluation.horizon 0, as the data has it; data "
+                                  "without references of random and expert has none")  # fmt: skip
     return rows
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,8 @@ YAML = "schema: 1\nfamilies:\n  {}\ndatasets: {{}}\n"
         ("mine: {module: 'leaves:family'}", "cannot be imported: SystemExit: 7"),
         ("mine: {module: 'typo:family'}", "cannot be imported: SyntaxError"),
         ("mine: {module: 'theirs:familie'}", r"no 'familie' in it \(did you mean 'family'\?\)"),
+        ("mine: {module: 'random:family'}", r"what was imported is .*random\.py"),
+        ("mine: {module: './theirs.py:family'}", "not a file's: theirs:family"),
         ("mine: {module: 'theirs:number'}", "no family; expected a mpdt.Family"),
         ("mine: {module: 'fails:family'}", "it raised OSError: no display"),
         ("mine: {module: 'wrong:family'}", "a finite number, found nan"),
@@ -117,8 +120,9 @@ def test_an_entry_that_gives_no_family(entry: str, what: str, tmp_path: Path) ->
     for name, text in files.items():
         (tmp_path / f"{name}.py").write_text(text)
     before = dict(FAMILIES)
-    with pytest.raises(SpecError, match=what):
+    with pytest.raises(SpecError) as error:
         parse_catalog(YAML.format(entry), str(tmp_path / "datasets.yaml"))
+    assert re.search(what, f"{error.value}\n{error.value.hint}")
     assert before == FAMILIES
 
 

@@ -154,6 +154,9 @@ def test_the_verb_tells_and_fails(
         assert told["summary"] == "10 passed" and told["module"] == "theirs:family"
         assert main(["check-family", "nobody"]) == 2
         assert "unknown family 'nobody'" in capsys.readouterr().err
+        (tmp_path / "datasets.yaml").write_text(text.format("ml10"))
+        assert main(["check-family", "another"]) == 2
+        assert "families.ml10: ml10: mpdt has a family of that" in capsys.readouterr().err
         monkeypatch.setattr("own_families.Line.step", lambda self, action: None)
         assert main(["check-family", "mine"]) == 1
         assert "1 of 10 rules: stepping" in capsys.readouterr().err
