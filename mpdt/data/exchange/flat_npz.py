@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.exchange.treatment import RawEpisode, joined
 from mpdt.data.spec.rules import MOST_STEPS
-from mpdt.errors import FormatError, ShapeError, UsageError
+from mpdt.errors import DataError, FormatError, ShapeError, UsageError
 from mpdt.reading import open_plain, refuse_other
 
 _MOST_COMPRESSED = 100
@@ -64,6 +64,12 @@ def episodes(path: Path, horizon: int | None) -> Iterator[RawEpisode]:
             successes=arrays["successes"][rows] if "successes" in arrays else None,
         )  # fmt: skip
         start, number = row + 1, number + 1
+    if len(terminals) and not number:
+        raise DataError("no step ends an episode", where=str(path),
+                        expected="terminals or timeouts true at the last step of each",
+                        found=f"{len(terminals)} steps, all false",
+                        hint="without timeouts, --horizon STEPS says where episodes end"
+                        )  # fmt: skip
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:

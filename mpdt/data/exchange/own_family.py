@@ -29,6 +29,7 @@ from mpdt.data.exchange.claims import Said
 from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import Source, quality_code, quality_name
 from mpdt.data.exchange.incoming import Incoming
+from mpdt.data.exchange.pickle_machine import kind_of
 from mpdt.data.exchange.treatment import RawEpisode, Rules
 from mpdt.data.reference import Reference, References
 from mpdt.data.spec.family import Family, Role, Task
@@ -112,7 +113,8 @@ def read(paths: Sequence[Path], asked: Asked, name: str) -> Incoming:
         raise UsageError(
             f"nothing to import as {asked.format}", where=str(paths[0]) if paths else ""
         )
-    labels = [_labels(one, asked) for one in found]
+    spelled: dict[str, str] = {}
+    labels = [_labels(one, asked, spelled) for one in found]
     seen, returns = _Seen(), dict[tuple[str, int], list[float]]()
     for one, label in zip(found, labels, strict=True):
         for number, raw in enumerate(one.read()):
@@ -140,8 +142,13 @@ def read(paths: Sequence[Path], asked: Asked, name: str) -> Incoming:
     return replace(incoming, header=replace(incoming.header, tasks=tasks))
 
 
-def _labels(one: _Found, asked: Asked) -> tuple[str, int]:
-    """Task and quality code of a source. Raises: UsageError for a name that names no task."""
+def _labels(one: _Found, asked: Asked, spelled: dict[str, str]) -> tuple[str, int]:
+    """Task and quality code of a source.
+
+    Args:
+        spelled: tasks of the sources before, as they were spelled; added to.
+    Raises: UsageError for a name that names no task, or would be the name of two.
+    """
     words = [word for word in _BREAKS.split(_VERSION.sub("", one.name)) if word]
     told = [word for word in words if word in QUALITY_CODES]
     quality = asked.quality or (told[0] if len(told) == 1 else "unknown")
@@ -153,7 +160,13 @@ def _labels(one: _Found, asked: Asked) -> tuple[str, int]:
     if not task:
         raise UsageError("its name names no task", where=str(one.path),
                          hint="--task NAME, or --task-from folder")  # fmt: skip
-    return re.sub(r"[^A-Za-z0-9_.-]", "_", task), quality_code(quality)
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", task)
+    if spelled.setdefault(name, task) != task:
+        raise UsageError(f"two tasks would be named '{name}'", where=str(one.path),
+                         expected="names that differ in letters, digits, . _ -",
+                         found=f"'{spelled[name]}' and '{task}'",
+                         hint="rename one of them")  # fmt: skip
+    return name, quality_code(quality)
 
 
 def _look(raw: RawEpisode, where: str, seen: _Seen) -> None:
@@ -161,12 +174,15 @@ def _look(raw: RawEpisode, where: str, seen: _Seen) -> None:
     for key, array in (("observations", raw.observations), ("actions", raw.actions)):
         if not _is_matrix(array):
             raise ShapeError(f"wrong {key}", where=where, expected="a matrix of floats",
-                             found=str(np.shape(array)))  # fmt: skip
+                             found=kind_of(array))  # fmt: skip
         known, width = getattr(seen, key), array.shape[1]
         if known and known != width:
             raise ShapeError(f"{key} of another size than in the episodes before", where=where,
                              expected=str(known), found=str(width))  # fmt: skip
         setattr(seen, key, width)
+    rewards = np.asarray(raw.rewards)
+    if rewards.dtype.kind not in "biuf":
+        raise ShapeError("wrong rewards", where=where, expected="numbers", found=kind_of(rewards))
     length = len(raw.actions)
     seen.longest = max(seen.longest, length)
     seen.largest = max(seen.largest, float(np.abs(raw.actions, dtype=np.float64).max()))

@@ -114,6 +114,9 @@ def test_sets_and_flat_files(format: str, tmp_path: Path) -> None:
         ({"observations": np.full((6, 2), np.nan, np.float32)}, {}, "are NaN or infinite"),
         ({"next_observations": np.zeros((6, 2), np.float32)}, {}, "starts elsewhere"),
         ({"actions": np.array([["a"]] * 6)}, {}, "wrong actions"),
+        ({"actions": np.ones((6, 1), int)}, {}, r"floats, found array of shape \(3, 1\) of int"),
+        ({"rewards": np.array(["a"] * 6)}, {}, "wrong rewards; expected numbers"),
+        ({"timeouts": np.zeros(6, bool), "terminals": np.zeros(6, bool)}, {}, "no step ends an"),
         ({"rewards": np.array([None] * 6)}, {}, "damaged, or not an .npz file of plain numbers"),
         ({}, {"name": "ml10"}, "there is a family of that name"),
         ({}, {"name": "a/b"}, "name 'a/b': letters"),
@@ -132,6 +135,16 @@ def test_what_is_refused(
     with pytest.raises(MpdtError, match=told):
         brought(folder, **asked)
     assert not (tmp_path / "mine.h5").exists()
+
+
+def test_two_tasks_are_not_one_for_their_spelling(tmp_path: Path) -> None:
+    for name in ("rächts-expert", "rächts-random"):
+        np.savez(tmp_path / f"{name}.npz", **flat())
+    spelled = Asked(format="npz", name="mine")
+    assert [task.name for task in read([tmp_path], spelled, "mine").header.tasks] == ["r_chts"]
+    np.savez(tmp_path / "röchts-expert.npz", **flat())
+    with pytest.raises(MpdtError, match=r"be named 'r_chts'.*'rächts' and 'röchts'"):
+        read([tmp_path], spelled, "mine")
 
 
 def test_two_sizes_and_no_files(
