@@ -19,6 +19,7 @@ from mpdt.data.lock.file import LockEntry, read_lock
 from mpdt.disk import holding, write_bytes
 from mpdt.errors import DataError, FormatError, UsageError, quoted
 from mpdt.train.board.rows import REFERENCE, Key, Row, board_csv, read_board, rows_of
+from mpdt.train.evaluate.score import REFERENCES
 from mpdt.train.run.config import from_plain
 from mpdt.train.run.results import read_results, read_results_file, scores_in
 from mpdt.train.run.show import command_text
@@ -51,9 +52,18 @@ def submit(
         lock: the datasets.lock that has to hold their data.
         label: another name of the method.
         replace: rows of the same key.
-    Raises: UsageError for an incomplete run or a row that is there with other numbers; DataError
+    Raises: UsageError for an incomplete run, a row that is there with other numbers, a name that
+        a table cannot show or that is a reference's; DataError
         for data that is not locked; FormatError, MissingFileError, StorageError.
     """
+    if label is not None and (not label.strip() or not label.isprintable()
+                              or "|" in label or label in REFERENCES):  # fmt: skip
+        raise UsageError(
+            "no name of a method",
+            where="--as",
+            found=repr(label)[:80],
+            expected=f"one line, without |, none of {', '.join(REFERENCES)}",
+        )
     entries = read_lock(lock)
     found = [(where, rows_at(where, entries, lock, label)) for where in places]
     with holding(board, amends=True):

@@ -115,6 +115,9 @@ def test_what_else_is_refused(tmp_path, lock, capsys):
         submit([result(tmp_path, complete=False)], board, lock)
     with pytest.raises(UsageError, match="no result there"):
         submit([tmp_path / "none"], board, lock)
+    for label in ("", "a|b", "a\nb", "expert"):
+        with pytest.raises(UsageError, match="--as: no name of a method"):
+            submit([result(tmp_path)], board, lock, label)
     with pytest.raises(UsageError, match=r"MPDT-ones infer has no level.* found 9 steps"):
         submit([result(tmp_path, "shorter", levels=(math.nan, math.nan))], board, lock)
     assert not board.exists()
