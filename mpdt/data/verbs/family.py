@@ -38,6 +38,9 @@ class CheckFamily(Options):
         from mpdt.data.verify.verify import summary
         from mpdt.errors import DataError, UsageError
 
+        if self.seed < 0:
+            raise UsageError("a negative seed", where="--seed", expected="0 or more",
+                             found=str(self.seed))  # fmt: skip
         if self.spec is not None:
             load_catalog(self.spec)  # it declares families
         try:

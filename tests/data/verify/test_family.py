@@ -152,6 +152,8 @@ def test_the_verb_tells_and_fails(
         assert main(["check-family", "mine", "--json"]) == 0
         told = json.loads(capsys.readouterr().out)
         assert told["summary"] == "10 passed" and told["module"] == "theirs:family"
+        assert main(["check-family", "mine", "--seed", "-1"]) == 2
+        assert "--seed: a negative seed" in capsys.readouterr().err
         assert main(["check-family", "nobody"]) == 2
         assert "unknown family 'nobody'" in capsys.readouterr().err
         (tmp_path / "datasets.yaml").write_text(text.format("ml10"))
