@@ -24,29 +24,31 @@ TOO_LARGE = 8
 
 def read_no_further(arrays: Iterable[NDArray[Any]]) -> None:
     """Tell the kernel of the maps behind these arrays that they are read here and there, if their
-    files are too large for it to read ahead. Nothing else changes."""
-    held = TOO_LARGE * memory_bytes()
-    for array in arrays:
-        whole = _map_of(array)
-        if whole is not None and whole.size() > held:
-            whole.madvise(mmap.MADV_RANDOM)
+    files together are too large for it to read ahead. Nothing else changes."""
+    maps = [found for array in arrays if (found := _map_of(array)) is not None]
+    if maps and sum(one.size() for one in maps) > TOO_LARGE * memory_bytes():
+        for one in maps:
+            one.madvise(mmap.MADV_RANDOM)
 
 
 def memory_bytes() -> int:
-    """What this process may hold: the machine's memory, or less if its control group says so."""
+    """What this process may hold: the machine's memory, or less if a control group that it is in
+    says so."""
     least = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     groups = Path("/sys/fs/cgroup")
     with suppress(OSError, ValueError):  # no control groups here
         for line in Path("/proc/self/cgroup").read_text().splitlines():
             _, controllers, path = line.split(":", 2)
             if not controllers:
-                limit = groups / path.lstrip("/") / "memory.max"
+                root, name = groups, "memory.max"
             elif "memory" in controllers.split(","):
-                limit = groups / "memory" / path.lstrip("/") / "memory.limit_in_bytes"
+                root, name = groups / "memory", "memory.limit_in_bytes"
             else:
                 continue
-            with suppress(OSError, ValueError):  # "max", or none of its own
-                least = min(least, int(limit.read_text()))
+            own = root / path.lstrip("/")
+            for folder in (own, *(one for one in own.parents if one.is_relative_to(root))):
+                with suppress(OSError, ValueError):  # "max", or none of its own
+                    least = min(least, int((folder / name).read_text()))
     return least
 
 

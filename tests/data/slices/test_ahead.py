@@ -21,6 +21,16 @@ def flags(path: Path) -> list[str]:
     return found
 
 
+def test_files_read_as_one_are_large_together(tiny_file, monkeypatch):
+    size = tiny_file.stat().st_size
+    maps = [np.memmap(tiny_file, np.uint8, "r") for _ in range(2)]
+    monkeypatch.setattr(ahead, "memory_bytes", lambda: size * 3 // 2 // ahead.TOO_LARGE)
+    ahead.read_no_further(maps[:1])
+    assert not any(" rr" in line for line in flags(tiny_file))
+    ahead.read_no_further(maps)
+    assert sum(" rr" in line for line in flags(tiny_file)) == 2
+
+
 @pytest.mark.parametrize(("memory", "told"), [(1 << 40, False), (1000, True)])
 def test_only_a_file_that_is_too_large_is_not_read_ahead(tiny_file, monkeypatch, memory, told):
     monkeypatch.setattr(ahead, "memory_bytes", lambda: memory)
@@ -39,10 +49,18 @@ def test_a_control_group_may_allow_less_than_the_machine_has(tmp_path, monkeypat
     whole = ahead.memory_bytes()
     assert 0 < whole < 1 << 50
     limits = {"/proc/self/cgroup": "0::/a/b\n", "/sys/fs/cgroup/a/b/memory.max": "4096\n"}
-    monkeypatch.setattr(Path, "read_text", lambda self: limits[str(self)])
+
+    def read(path):
+        if str(path) not in limits:
+            raise FileNotFoundError
+        return limits[str(path)]
+
+    monkeypatch.setattr(Path, "read_text", read)
     assert ahead.memory_bytes() == 4096
     limits["/sys/fs/cgroup/a/b/memory.max"] = "max\n"
     assert ahead.memory_bytes() >= whole
+    limits["/sys/fs/cgroup/a/memory.max"] = "5000\n"  # of the group that it is in with others
+    assert ahead.memory_bytes() == 5000
     old = "4:cpu,memory:/a\n"
     limits |= {"/proc/self/cgroup": old, "/sys/fs/cgroup/memory/a/memory.limit_in_bytes": "8192\n"}
     assert ahead.memory_bytes() == 8192
