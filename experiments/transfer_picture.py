@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mpdt.draw.chart import Chart, Dot, axis_over, row_chart
+from mpdt.draw.chart import Axis, Chart, Dot, axis_over, row_chart
 from mpdt.draw.sheet import Sheet, write_sheet
 
 SOLVED, UNSOLVED = "c2", "c0"
@@ -32,7 +32,7 @@ def sheet(content: dict[str, Any]) -> Sheet:
                  columns=2)  # fmt: skip
 
 
-def _chart(task: str, place: int, prompts: dict[str, Any], axis: Any) -> Chart:
+def _chart(task: str, place: int, prompts: dict[str, Any], axis: Axis) -> Chart:
     rows = [
         (name, [Dot(SOLVED if one["successes"][place] >= 0.5 else UNSOLVED,
                     one["returns"][place])])

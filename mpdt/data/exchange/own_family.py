@@ -76,6 +76,9 @@ class Asked:
             raise UsageError("there is a family of that name",
                              where=f"--family-of {quoted(self.name)}",
                              hint="--family imports into it; or choose another name")  # fmt: skip
+        if self.horizon is not None and self.horizon < 1:
+            raise UsageError("too short", where="--horizon", expected="1 or more",
+                             found=str(self.horizon))  # fmt: skip
         if self.quality is not None:
             quality_code(self.quality)
 
@@ -149,24 +152,32 @@ def _labels(one: _Found, asked: Asked, spelled: dict[str, str]) -> tuple[str, in
         spelled: tasks of the sources before, as they were spelled; added to.
     Raises: UsageError for a name that names no task, or would be the name of two.
     """
-    words = [word for word in _BREAKS.split(_VERSION.sub("", one.name)) if word]
+    plain = _VERSION.sub("", one.name)
+    words = [word for word in _BREAKS.split(plain) if word]
     told = [word for word in words if word in QUALITY_CODES]
     quality = asked.quality or (told[0] if len(told) == 1 else "unknown")
-    task = asked.task
+    task = own = asked.task
     if task is None and asked.task_from == "folder":
-        task = one.folder
+        task = own = one.folder
     elif task is None:
         task = "-".join(word for word in words if len(told) != 1 or word not in told)
+        # a_b and a-b are two tasks, a_b-expert and a_b.random are one.
+        own = _without(plain, told[0]) if len(told) == 1 else plain
     if not task:
         raise UsageError("its name names no task", where=str(one.path),
                          hint="--task NAME, or --task-from folder")  # fmt: skip
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", task)
-    if spelled.setdefault(name, task) != task:
+    if spelled.setdefault(name, str(own)) != own:
         raise UsageError(f"two tasks would be named '{name}'", where=str(one.path),
                          expected="names that differ in letters, digits, . _ -",
-                         found=f"'{spelled[name]}' and '{task}'",
+                         found=f"'{spelled[name]}' and '{own}'",
                          hint="rename one of them")  # fmt: skip
     return name, quality_code(quality)
+
+
+def _without(name: str, word: str) -> str:
+    """A name as it is written, without one of its words and the break before it."""
+    return re.sub(rf"(^|[-_./]+){word}(?![^-_./])", "", name).strip("-_./")
 
 
 def _look(raw: RawEpisode, where: str, seen: _Seen) -> None:

@@ -97,9 +97,13 @@ class Results(dict[str, Any]):
 def read_results(folder: Path | str) -> Results:
     """results.json of a run's folder: settings, data, and under `scores` every row of its tables.
 
-    Raises: MissingFileError for a run that has not ended; FormatError for one that was changed.
+    Raises: MissingFileError for no folder, or a run that has not ended; FormatError for one that
+        was changed.
     """
     folder = Path(folder)
+    if not folder.is_dir():
+        raise MissingFileError("no folder of a run", where=str(folder),
+                               hint="runs/NAME, as mpdt-train made it")  # fmt: skip
     RunFolder(folder).refuse_links()
     return Results(read_results_file(folder / "results.json"))
 

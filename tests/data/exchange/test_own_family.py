@@ -122,6 +122,7 @@ def test_sets_and_flat_files(format: str, tmp_path: Path) -> None:
         ({}, {"name": "a/b"}, "name 'a/b': letters"),
         ({}, {"format": "parquet"}, "parquet cannot become a family of its own"),
         ({}, {"quality": "exprt"}, "unknown quality 'exprt'"),
+        ({}, {"horizon": 0}, "--horizon: too short"),
         ({}, {"test": ("b",)}, "unknown task 'b'"),
         ({}, {"test": ("left",)}, "no training task is left"),
     ],
@@ -145,6 +146,16 @@ def test_two_tasks_are_not_one_for_their_spelling(tmp_path: Path) -> None:
     np.savez(tmp_path / "röchts-expert.npz", **flat())
     with pytest.raises(MpdtError, match=r"be named 'r_chts'.*'rächts' and 'röchts'"):
         read([tmp_path], spelled, "mine")
+
+
+def test_breaks_tell_two_tasks_apart_and_those_of_a_quality_do_not(tmp_path: Path) -> None:
+    asked = Asked(format="npz", name="mine")
+    for name in ("a_b-expert", "a_b.random", "medium_a_b-v2"):
+        np.savez(tmp_path / f"{name}.npz", **flat())
+    assert [task.name for task in read([tmp_path], asked, "mine").header.tasks] == ["a-b"]
+    np.savez(tmp_path / "a-b-expert.npz", **flat())
+    with pytest.raises(MpdtError, match=r"two tasks would be named 'a-b'"):
+        read([tmp_path], asked, "mine")
 
 
 def test_two_sizes_and_no_files(

@@ -2,7 +2,10 @@
 
 import json
 
+import pytest
+
 import mpdt
+from mpdt.errors import MissingFileError
 from mpdt.train.evaluate.score import MEAN, Score, encode_results
 from mpdt.train.run.results import Results
 
@@ -17,3 +20,10 @@ def test_results_show_their_tables(tmp_path):
     shown = found._repr_html_()
     assert shown.count("<table>") == 2 and "1.5 [1.0, 2.0] (0.25)" in shown
     assert "&lt;mine&gt;" in shown and "<mine>" not in shown
+
+
+def test_a_file_is_no_run(tmp_path):
+    (tmp_path / "data.h5").touch()
+    for name in ("data.h5", "nowhere"):
+        with pytest.raises(MissingFileError, match="no folder of a run"):
+            mpdt.read_results(tmp_path / name)
