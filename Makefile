@@ -31,8 +31,8 @@ export OPENBLAS_NUM_THREADS ?= 1
 # The tests start hundreds of processes, which would each compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-BENCHES := metaworld_envpool metaworld_steps collecting sampling storing growing starting \
-  remembering pretraining acting training
+BENCHES := metaworld_envpool metaworld_steps collecting own_families sampling storing growing \
+  starting remembering pretraining acting training
 
 .PHONY: demo test check peers bench trust ecosystem docs wheel pages site slow lowest extras results clean
 .DELETE_ON_ERROR:

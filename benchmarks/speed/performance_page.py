@@ -26,6 +26,7 @@ PATHS = {
     "collecting": "Collecting cheetah and ant",
     "metaworld": "Collecting Meta-World",
     "metaworld_envpool": "Collecting Meta-World, beside EnvPool",
+    "own_families": "Families of one's own",
     "storing": "Packing, opening, verifying",
     "sampling": "Drawing windows",
     "larger": "Windows of a file larger than memory",
