@@ -1,7 +1,7 @@
 """What dozens of libraries raise about another place, as one of our errors.
 
 They share no base class: fsspec's HTTP raises FileNotFoundError whatever went wrong, webdav4,
-paramiko, httpx and pyarrow have errors of their own.
+asyncssh, httpx and pyarrow have errors of their own.
 """
 
 from __future__ import annotations
@@ -10,6 +10,9 @@ from fsspec.registry import known_implementations
 
 from mpdt.data.remote import objects
 from mpdt.errors import MpdtError, RemoteError, UsageError
+
+# Of webdav4 and asyncssh, which need not be installed.
+_ABSENT = {"ResourceNotFound", "SFTPNoSuchFile", "SFTPNoSuchPath"}
 
 
 class RefusedError(RemoteError):
@@ -21,8 +24,10 @@ class NoRangesError(RemoteError):
 
 
 def missing_package(address: str, protocol: str, error: ImportError) -> MpdtError:
-    """fsspec names the package of every protocol it knows."""
+    """fsspec names the package of every protocol it knows; its own for SFTP is not ours."""
     known = known_implementations.get(protocol, {}).get("err") or str(error)
+    if protocol in ("sftp", "ssh"):
+        known = str(error)
     return UsageError(f"{protocol} needs a package that is not installed", where=address,
                       found=known,
                       hint="install it with pip; 'mpdt[remote]' brings those of sftp, webdav "
@@ -46,7 +51,7 @@ def is_absence(error: Exception) -> bool:
         return True
     if objects.is_absent(error):
         return True
-    if "ResourceNotFound" in {type(error).__name__, type(cause).__name__}:  # webdav4's
+    if _ABSENT & {type(error).__name__, type(cause).__name__}:
         return True
     missing = (FileNotFoundError, NotADirectoryError)
     return isinstance(error, missing) and (cause is None or isinstance(cause, missing))
@@ -55,7 +60,8 @@ def is_absence(error: Exception) -> bool:
 def refusal(address: str, words: str, error: Exception) -> MpdtError:
     if isinstance(error, ValueError) and "range requests" in str(error):
         return NoRangesError("the server sends whole files only", where=address, found=words)
-    denied = isinstance(error, PermissionError) or "Authentication" in type(error).__name__
+    name = type(error).__name__
+    denied = isinstance(error, PermissionError) or "Authentication" in name or "Denied" in name
     if (
         denied
         or objects.is_denied(error)

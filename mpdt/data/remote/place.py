@@ -10,6 +10,8 @@ import hashlib
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib import import_module
+from itertools import count
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -32,9 +34,10 @@ from mpdt.errors import MissingFileError, MpdtError, RemoteError, UsageError, un
 
 CHUNK_BYTES = 1 << 18
 MOST_TEXT_BYTES = 1 << 24  # of a list of sums; 100,000 files have one of 10 MB
-_APPEND = {"file", "local", "memory", "sftp", "ssh"}
+_SECURE_SHELL = {"sftp", "ssh"}
+_APPEND = {"file", "local", "memory", *_SECURE_SHELL}
 _READ_ONLY, _WEBDAV = {"http", "https"}, ("webdav", "webdavs")
-_WITH_HOST = {*_READ_ONLY, *_WEBDAV, "sftp", "ssh", "ftp"}
+_WITH_HOST = {*_READ_ONLY, *_WEBDAV, *_SECURE_SHELL, "ftp"}
 _HOST = re.compile(r"[\w.-]+|[\da-fA-F:.]+")
 # What file systems call the state of a file. An access time is none.
 _VERSIONS = ("ETag", "etag", "Content-MD5", "md5", "sha256", "blob_id", "oid", "mtime",
@@ -71,8 +74,8 @@ class Place:
         """Close what its library leaves open."""
         if self.fs is None:
             return
-        if self.protocol in ("sftp", "ssh"):
-            self.fs.client.close()
+        if self.protocol in _SECURE_SHELL:
+            self.fs.close()
         elif self.protocol in _WEBDAV:
             self.fs.client.http.close()
 
@@ -89,8 +92,8 @@ class Place:
             if self.is_store:
                 self.fs, self.path = objects.connect(self._url, self.address)
                 return
-            if self.protocol in ("sftp", "ssh"):
-                options["host_key_policy"] = _known_hosts_only()
+            if self.protocol in _SECURE_SHELL:
+                import_module("mpdt.data.remote.secure_shell")  # fsspec takes it from then on
             self.fs, self.path = fsspec.url_to_fs(self._url, **options)
 
     def info(self, path: str) -> dict[str, Any] | None:
@@ -132,10 +135,20 @@ class Place:
         with self.told(), self.fs.open(path, "rb", **whole) as file:
             if offset:
                 file.seek(offset)
-            if hasattr(file, "prefetch"):  # paramiko else waits for every 32 kB
-                file.prefetch()
-            while chunk := file.read(CHUNK_BYTES):
+            for size in self._sizes():
+                if not (chunk := file.read(size)):
+                    return
                 yield chunk
+
+    def _sizes(self) -> Iterator[int]:
+        """Bytes to ask for in one go.
+
+        Over SFTP one go takes one round trip whatever its size, and is lost if the connection
+        breaks: each is about half of what came before it.
+        """
+        grows = self.protocol in _SECURE_SHELL
+        for number in count():
+            yield CHUNK_BYTES << min(number, 5) if grows else CHUNK_BYTES
 
     def read(self, path: str) -> bytes | None:
         """A small file; None if it is not there. Some servers call that forbidden.
@@ -170,9 +183,9 @@ class Place:
             local.seek(offset)
             self.make_folder(path)
             with self.fs.open(path, "ab" if offset else "wb") as file:
-                if hasattr(file, "set_pipelined"):  # paramiko else waits for every 32 kB
-                    file.set_pipelined(True)
-                while chunk := local.read(CHUNK_BYTES):
+                for size in self._sizes():
+                    if not (chunk := local.read(size)):
+                        break
                     file.write(chunk)
 
     def put(self, path: str, source: Path) -> None:
@@ -271,27 +284,3 @@ def _check(url: str, address: str) -> None:
                          expected="PROTOCOL://HOST/PATH, such as sftp://host/data/x.h5",
                          hint="marks in a user or password are escaped: %40 for @, %23 for "
                               "#" if "@" in url else "")  # fmt: skip
-
-
-def _known_hosts_only() -> Any:
-    """A host key policy for fsspec's SFTP: hosts that ~/.ssh/known_hosts knows by their key.
-
-    fsspec's own way is to accept whoever answers, and then to send a password.
-    Raises: ImportError without paramiko.
-    """
-    import paramiko
-
-    class KnownHostsOnly(paramiko.MissingHostKeyPolicy):  # type: ignore[misc]
-        def missing_host_key(self, client: Any, hostname: str, key: Any) -> None:
-            """Called for every host, as fsspec loads no list of known ones."""
-            path = Path("~/.ssh/known_hosts").expanduser()
-            known = paramiko.HostKeys(str(path)) if path.exists() else paramiko.HostKeys()
-            if known.check(hostname, key):
-                return
-            what = "another host key than the known one" if known.lookup(hostname) else (
-                "an unknown host")  # fmt: skip
-            raise RemoteError(what, where=hostname, found=f"{key.get_name()} {key.fingerprint}",
-                              hint="connect once with ssh, which shows the key and asks; "
-                                   f"it is kept in {path}")  # fmt: skip
-
-    return KnownHostsOnly()

