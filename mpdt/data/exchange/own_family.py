@@ -1,96 +1,32 @@
 """Foreign data as a family of its own: its definition is what the episodes show; no simulator.
 
-    minari   every set below the folders          d4rl   every flat .hdf5
-    npz      every .npz with the flat arrays of d4rl (observations, next_observations, actions,
-             rewards, terminals, timeouts)
+    minari    every set below the folders          d4rl   every flat .hdf5
+    lerobot   every tree                           npz    every .npz with the flat arrays of d4rl
 
-    walker/left-expert.npz      --task-from source   task left       quality expert
-                                --task-from folder   task walker
-
-A source's name without its version and the one word for a quality is its task. Sizes, bounds and
-the longest episode are what the data have; references are means of its random and expert episodes,
-of source `data`. Everything is read twice before anything is written.
+Sizes, bounds and the longest episode are what the data have; references are means of its random and
+expert episodes, of source `data`. Everything is read twice before anything is written.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from mpdt.data.episode import QUALITY_CODES
-from mpdt.data.exchange import d4rl, flat_npz, foreign, hdf5, minari
-from mpdt.data.exchange.claims import Said
-from mpdt.data.exchange.folder import files_below, left_out
-from mpdt.data.exchange.foreign import Source, quality_code, quality_name
+from mpdt.data.exchange import foreign
+from mpdt.data.exchange.foreign import Source, quality_name
 from mpdt.data.exchange.incoming import Incoming
+from mpdt.data.exchange.own_sources import Asked, Found, find, labels
 from mpdt.data.exchange.pickle_machine import kind_of
 from mpdt.data.exchange.treatment import RawEpisode, Rules
 from mpdt.data.reference import Reference, References
 from mpdt.data.spec.family import Family, Role, Task
-from mpdt.data.spec.rules import MOST_STEPS, family_name_problem, plain_problems
-from mpdt.data.spec.tasks import FAMILIES
-from mpdt.data.store.licence import UNKNOWN
-from mpdt.errors import DataError, ShapeError, UsageError, quoted, unknown_name
-
-TaskFrom = Literal["source", "folder"]
-FORMATS = ("minari", "d4rl", "npz")
-_VERSION = re.compile(r"[-_.]v\d+$")
-_BREAKS = re.compile(r"[-_./]+")
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What a user says of such an import.
-
-    Args:
-        name: of the family.
-        task: of all episodes; None = by `task_from`.
-        test: tasks that are only tested on.
-        horizon: steps; None = those of the longest episode.
-    Raises: UsageError.
-    """
-
-    format: str
-    name: str
-    task_from: TaskFrom = "source"
-    task: str | None = None
-    quality: str | None = None
-    test: tuple[str, ...] = ()
-    horizon: int | None = None
-    license: str = UNKNOWN
-
-    def __post_init__(self) -> None:
-        if self.format not in FORMATS:
-            raise UsageError(f"{self.format} cannot become a family of its own",
-                             where="--family-of", expected=", ".join(FORMATS),
-                             hint="or name one with --family")  # fmt: skip
-        if problem := family_name_problem(self.name):
-            raise UsageError(problem, where="--family-of")
-        if self.name in FAMILIES:
-            raise UsageError("there is a family of that name",
-                             where=f"--family-of {quoted(self.name)}",
-                             hint="--family imports into it; or choose another name")  # fmt: skip
-        if self.horizon is not None and self.horizon < 1:
-            raise UsageError("too short", where="--horizon", expected="1 or more",
-                             found=str(self.horizon))  # fmt: skip
-        if self.quality is not None:
-            quality_code(self.quality)
-
-
-@dataclass(frozen=True)
-class _Found:
-    """One source before its numbers are believed; `read` may be called any number of times."""
-
-    path: Path
-    name: str
-    folder: str
-    read: Callable[[], Iterator[RawEpisode]]
+from mpdt.data.spec.rules import plain_problems
+from mpdt.errors import DataError, ShapeError, UsageError, unknown_name
 
 
 @dataclass
@@ -104,6 +40,8 @@ class _Seen:
     ends: bool = False
     success: bool = False
     cut: tuple[int, ...] = ()
+    columns: tuple[str, ...] = ()
+    step_s: float = 0.0
 
 
 def read(paths: Sequence[Path], asked: Asked, name: str) -> Incoming:
@@ -111,15 +49,11 @@ def read(paths: Sequence[Path], asked: Asked, name: str) -> Incoming:
 
     Raises: UsageError, FormatError, DataError, ShapeError naming file and episode.
     """
-    found, remarks = _SOURCES[asked.format](paths, asked)
-    if not found:
-        raise UsageError(
-            f"nothing to import as {asked.format}", where=str(paths[0]) if paths else ""
-        )
+    found, remarks = find(paths, asked)
     spelled: dict[str, str] = {}
-    labels = [_labels(one, asked, spelled) for one in found]
-    seen, returns = _Seen(), dict[tuple[str, int], list[float]]()
-    for one, label in zip(found, labels, strict=True):
+    told = [labels(one, asked, spelled) for one in found]
+    seen, returns = _common(found), dict[tuple[str, int], list[float]]()
+    for one, label in zip(found, told, strict=True):
         for number, raw in enumerate(one.read()):
             _look(raw, f"{one.path}: episode {number}", seen)
             total = float(np.asarray(raw.rewards, np.float64).sum())
@@ -130,8 +64,15 @@ def read(paths: Sequence[Path], asked: Asked, name: str) -> Incoming:
         any_length=set(seen.cut) != {family.horizon},
     )  # fmt: skip
     sources = [
-        Source(one.path, family.task(task), quality, partial(_limited, one, rules), name=one.name)
-        for one, (task, quality) in zip(found, labels, strict=True)
+        Source(
+            one.path,
+            family.task(task),
+            quality,
+            partial(_limited, one, rules),
+            name=one.name,
+            notes=one.notes,
+        )
+        for one, (task, quality) in zip(found, told, strict=True)
     ]
     remarks += [
         f"family {family.name}: {len(family.tasks)} tasks, {seen.observations} columns, "
@@ -145,39 +86,11 @@ def read(paths: Sequence[Path], asked: Asked, name: str) -> Incoming:
     return replace(incoming, header=replace(incoming.header, tasks=tasks))
 
 
-def _labels(one: _Found, asked: Asked, spelled: dict[str, str]) -> tuple[str, int]:
-    """Task and quality code of a source.
-
-    Args:
-        spelled: tasks of the sources before, as they were spelled; added to.
-    Raises: UsageError for a name that names no task, or would be the name of two.
-    """
-    plain = _VERSION.sub("", one.name)
-    words = [word for word in _BREAKS.split(plain) if word]
-    told = [word for word in words if word in QUALITY_CODES]
-    quality = asked.quality or (told[0] if len(told) == 1 else "unknown")
-    task = own = asked.task
-    if task is None and asked.task_from == "folder":
-        task = own = one.folder
-    elif task is None:
-        task = "-".join(word for word in words if len(told) != 1 or word not in told)
-        # a_b and a-b are two tasks, a_b-expert and a_b.random are one.
-        own = _without(plain, told[0]) if len(told) == 1 else plain
-    if not task:
-        raise UsageError("its name names no task", where=str(one.path),
-                         hint="--task NAME, or --task-from folder")  # fmt: skip
-    name = re.sub(r"[^A-Za-z0-9_.-]", "_", task)
-    if spelled.setdefault(name, str(own)) != own:
-        raise UsageError(f"two tasks would be named '{name}'", where=str(one.path),
-                         expected="names that differ in letters, digits, . _ -",
-                         found=f"'{spelled[name]}' and '{own}'",
-                         hint="rename one of them")  # fmt: skip
-    return name, quality_code(quality)
-
-
-def _without(name: str, word: str) -> str:
-    """A name as it is written, without one of its words and the break before it."""
-    return re.sub(rf"(^|[-_./]+){word}(?![^-_./])", "", name).strip("-_./")
+def _common(found: Sequence[Found]) -> _Seen:
+    """What all sources say, before anything is looked at; nothing of what they do not agree in."""
+    columns, steps = {one.columns for one in found}, {one.step_s for one in found}
+    return _Seen(columns=columns.pop() if len(columns) == 1 else (),
+                 step_s=steps.pop() if len(steps) == 1 else 0.0)  # fmt: skip
 
 
 def _look(raw: RawEpisode, where: str, seen: _Seen) -> None:
@@ -204,7 +117,7 @@ def _look(raw: RawEpisode, where: str, seen: _Seen) -> None:
         seen.cut = tuple({*seen.cut, length})
 
 
-def _limited(one: _Found, rules: Rules) -> Iterator[RawEpisode]:
+def _limited(one: Found, rules: Rules) -> Iterator[RawEpisode]:
     """Its episodes; one that ends by its own rule at the time limit is cut off there as well."""
     for raw in one.read():
         at_limit = len(raw.actions) == rules.horizon and not rules.any_length
@@ -238,9 +151,10 @@ def _family(asked: Asked, seen: _Seen, returns: Mapping[tuple[str, int], list[fl
     family = Family(
         name=asked.name,
         tasks=tuple(Task(name, i, roles[name in asked.test]) for i, name in enumerate(names)),
-        columns=tuple(f"o{i:0{digits}} [1]" for i in range(seen.observations)),
+        columns=seen.columns if len(seen.columns) == seen.observations else
+        tuple(f"o{i:0{digits}} [1]" for i in range(seen.observations)),
         action_size=seen.actions, action_low=-bound, action_high=bound,
-        horizon=asked.horizon or seen.longest, step_s=1.0,
+        horizon=asked.horizon or seen.longest, step_s=seen.step_s or 1.0,
         return_target=target, return_scale=max(abs(target), target - min(known)) or 1.0,
         goal_hidden=False, has_success=seen.success, ends_early=seen.ends, exact=False,
         about=f"Imported from {asked.format}: no simulator",
@@ -258,56 +172,3 @@ def _references(task: str, returns: Mapping[tuple[str, int], list[float]]) -> Re
         if name == task and quality_name(code) in ("random", "expert")
     }
     return References(by_name)
-
-
-# ---- sources ----
-
-
-def _minari(paths: Sequence[Path], asked: Asked) -> tuple[list[_Found], list[str]]:
-    known = files_below(paths, ".json")
-    folders = [path.parent for path in known if path.name == "metadata.json"]
-    draft = Rules(asked.format, _draft(asked), asked.horizon or MOST_STEPS, quality="unknown")
-    found = []
-    for folder in folders:
-        metadata = minari.read_metadata(folder)
-        id = str(metadata.get("dataset_id", "")) or folder.parent.name
-        read = partial(minari.foreign_episodes, folder, metadata, Said(), draft)
-        found.append(_Found(folder / minari.MAIN, id, id.split("/")[-2] if "/" in id else "", read))
-    return found, []
-
-
-def _flat(paths: Sequence[Path], asked: Asked) -> tuple[list[_Found], list[str]]:
-    files = files_below(paths, ".hdf5", ".h5")
-    found = []
-    for path in files:
-        with hdf5.opened(path) as file:
-            if "timeouts" not in file and asked.horizon is None:
-                raise flat_npz.no_limit(path)
-            bounds = d4rl.episode_bounds(file, asked.horizon or MOST_STEPS, str(path))
-        read = partial(d4rl.foreign_episodes, path, bounds)
-        found.append(_Found(path, path.stem, path.absolute().parent.name, read))
-    return found, left_out(paths, files)
-
-
-def _npz(paths: Sequence[Path], asked: Asked) -> tuple[list[_Found], list[str]]:
-    files = files_below(paths, ".npz")
-    found = [
-        _Found(
-            path,
-            path.stem,
-            path.absolute().parent.name,
-            partial(flat_npz.episodes, path, asked.horizon),
-        )
-        for path in files
-    ]
-    return found, left_out(paths, files)
-
-
-_SOURCES = {"minari": _minari, "d4rl": _flat, "npz": _npz}
-
-
-def _draft(asked: Asked) -> Family:
-    """Of any sizes, for readers that ask for a family before one is known."""
-    return Family(name=asked.name, tasks=(Task("all", 0, "train"),), columns=("o [1]",),
-                  action_size=1, horizon=MOST_STEPS, step_s=1.0, return_target=0.0,
-                  return_scale=1.0)  # fmt: skip

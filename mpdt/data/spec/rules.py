@@ -11,10 +11,10 @@ from mpdt.data.spec.training import settings_problems
 
 # As names of entries: parts of a collection and sets of an export are files of these names.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
-_COLUMN = re.compile(r"[^\[\]]{1,80} \[[^\[\]]{1,40}\]")
+COLUMN = re.compile(r"[^\[\]]{1,80} \[[^\[\]]{1,40}\]")
 _SEMVER = re.compile(r"\d{1,9}\.\d{1,9}\.\d{1,9}")
 MOST_TASKS = 10_000
-MOST_COLUMNS = 4_096
+MOSTCOLUMNS = 4_096
 MOST_STEPS = 100_000
 
 
@@ -65,11 +65,11 @@ def _tasks(family: Family) -> Iterator[str]:
 
 def _columns(family: Family) -> Iterator[str]:
     columns = family.columns
-    if not isinstance(columns, tuple) or not 1 <= len(columns) <= MOST_COLUMNS:
-        yield f"columns: a tuple of 1 to {MOST_COLUMNS:,} texts `name [unit]`"
+    if not isinstance(columns, tuple) or not 1 <= len(columns) <= MOSTCOLUMNS:
+        yield f"columns: a tuple of 1 to {MOSTCOLUMNS:,} texts `name [unit]`"
         return
     for column in columns:
-        if not isinstance(column, str) or not _COLUMN.fullmatch(column):
+        if not isinstance(column, str) or not COLUMN.fullmatch(column):
             yield f"columns: {column!r} is not `name [unit]`; a number without dimension has [1]"
     if len(set(columns)) != len(columns):
         yield "columns: two of one name"
@@ -81,7 +81,7 @@ def _columns(family: Family) -> Iterator[str]:
 
 
 def _numbers(family: Family) -> Iterator[str]:
-    for key, most in (("action_size", MOST_COLUMNS), ("horizon", MOST_STEPS)):
+    for key, most in (("action_size", MOSTCOLUMNS), ("horizon", MOST_STEPS)):
         number = getattr(family, key)
         if type(number) is not int or not 1 <= number <= most:
             yield f"{key}: a whole number from 1 to {most:,}, found {number!r}"

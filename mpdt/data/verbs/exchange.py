@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -27,6 +27,7 @@ class Import(Options):
       mpdt-data import prompt-dt/ --from promptdt --family cheetah_vel -o vel.h5
       mpdt-data import metaworld_prompts/ --from mtdiff --family ml10 --hide-goal -o ml10-mtdiff.h5
       mpdt-data import my_sets/ --from minari --family-of mine --test far -o mine.h5
+      mpdt-data import tree/ --from lerobot --family-of mine --states observation.state -o mine.h5
     """
 
     sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SRC...")]
@@ -38,9 +39,14 @@ class Import(Options):
     family: Annotated[str | None, arg(metavar="F")] = None
     """Family of the tasks; our own exports know it."""
     family_of: Annotated[str | None, arg(metavar="NAME")] = None
-    """Make a family of their own of the sources (minari, d4rl or npz); nobody simulates it."""
-    task_from: Literal["source", "folder"] = "source"
-    """With --family-of, what names the tasks: files or sets, or the folders they are in."""
+    """Make a family of their own of the sources (minari, d4rl, npz or lerobot); nobody simulates
+    it."""
+    task_from: Annotated[str, arg(metavar="source|folder|COLUMN")] = "source"
+    """With --family-of, what names the tasks: files, sets or the texts of a LeRobot tree; the
+    folders they are in; or a column of the tree."""
+    states: Annotated[Names, arg(metavar="COLUMN,...")] = ()
+    """With --family-of and lerobot, the columns that are the observation, side by side; default:
+    observation.state."""
     test: Names = ()
     """With --family-of, the tasks that are only tested on."""
     task: Annotated[str | None, arg(metavar="NAME")] = None
@@ -82,20 +88,22 @@ class Import(Options):
 
     def _read(self) -> Incoming:
         from mpdt.data.exchange import formats
-        from mpdt.data.exchange.own_family import Asked, read
+        from mpdt.data.exchange.own_family import read
+        from mpdt.data.exchange.own_sources import Asked
         from mpdt.data.verbs.options import split_names
         from mpdt.errors import UsageError
 
         if self.family_of is None:
-            if self.test or self.task_from != "source":
-                raise UsageError("--test and --task-from are of a family of its own",
+            if self.test or self.states or self.task_from != "source":
+                raise UsageError("--test, --states and --task-from are of a family of its own",
                                  hint="add --family-of NAME")  # fmt: skip
             return formats.read(self.format, self.sources, self._rules(), self.output.stem)
         if self.family or self.clip_actions or self.hide_goal:
             raise UsageError("--family, --clip-actions and --hide-goal are of a known family",
                              where="--family-of", hint="leave them out")  # fmt: skip
         asked = Asked(self.format, self.family_of, self.task_from, self.task, self.quality,
-                      split_names(self.test), self.horizon, self.license)  # fmt: skip
+                      split_names(self.test), self.horizon, self.license,
+                      split_names(self.states))  # fmt: skip
         return read(self.sources, asked, self.output.stem)
 
     def _rules(self) -> Rules | None:

@@ -14,6 +14,7 @@ import pytest
 
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
+from mpdt.data.verify.verify import verify
 
 Make = Callable[..., Any]
 ML10 = ("--from", "lerobot", "--family", "ml10", "--hide-goal")
@@ -163,3 +164,155 @@ def test_words_that_do_not_fit(
     (tmp_path / "empty").mkdir()
     assert "a folder with meta/info.json" in fails(tmp_path / "empty", *ML10)
     assert "--family" in fails(folder, "--from", "lerobot")
+
+
+# ---- as a family of their own ----
+
+OWN = ("--from", "lerobot", "--family-of", "theirs")
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_tree_as_a_family_of_its_own(
+    tmp_path: Path, imported: Make, capsys: pytest.CaptureFixture[str], version: str
+) -> None:
+    data: Dataset = imported(tree(tmp_path / "mt-expert", version), *OWN, "--test", "push-v2")
+    said = capsys.readouterr().err
+    assert (
+        "left out the last step of each of 3 episodes" in said and "the only success of 1\n" in said
+    )
+    assert "left out observation.image, observation.environment_state of 39 numbers" in said
+    family = data.contract()
+    assert [(task.name, task.role) for task in family.tasks] == [
+        ("push-v2", "test"), ("reach-v3", "train")
+    ]  # fmt: skip
+    # The folder's name says how good they are.
+    assert data.episodes.length.tolist() == [2, 3, 1] and (data.episodes.quality == 2).all()
+    assert (family.observation_size, family.action_size, family.horizon) == (4, 4, 3)
+    assert family.has_success and not family.ends_early and not family.simulates
+    one = data.episode(1)
+    first = [[0, 1, 2, 3], [39, 40, 41, 42], [78, 79, 80, 81], [117, 118, 119, 120]]
+    assert one.observations.tolist() == first and one.rewards.tolist() == [0, 1, 2]
+    assert one.truncations.tolist() == [False, False, True] and "horizon" not in data.spec
+    assert [ref["expert"].mean for ref in data.tasks.references] == [
+        100 + 101,
+        (0 + 1 + 2 + 200) / 2,
+    ]
+    assert data.spec["import"]["sources"][0]["states"] == ["observation.state"]
+    outcomes = {one.outcome.value for one in verify(data.path).findings}
+    assert "FAIL" not in outcomes
+
+
+@pytest.mark.parametrize(
+    ("states", "width", "first"),
+    [
+        ("observation.environment_state", 39, [0, 1, 2, 3, 4]),
+        ("observation.state,observation.environment_state", 43, [0, 1, 2, 3, 0]),
+    ],
+)
+def test_which_columns_are_the_state(
+    tmp_path: Path, imported: Make, states: str, width: int, first: list[int]
+) -> None:
+    data = imported(tree(tmp_path / "theirs", "v3.0"), *OWN, "--states", states)
+    assert data.observation_size == width
+    assert data.episode(1).observations[0, :5].tolist() == first
+
+
+def test_our_own_tree_as_a_family_keeps_names_and_seconds(
+    cheetah: Path, imported: Make, run: Make
+) -> None:
+    assert run("export", cheetah, "--to", "lerobot", "-o", "out") == 0
+    data, before = imported("out", *OWN), open_dataset(cheetah)
+    family, known = data.contract(), before.contract()
+    assert data.tasks.names == ("forward",) and family.columns == known.columns
+    assert family.step_s == known.step_s == 0.05 and data.spec["horizon"] == 11
+    for i in range(2):
+        one, own = data.episode(i), before.episode(i)
+        np.testing.assert_array_equal(one.observations, own.observations[:-1])
+        np.testing.assert_array_equal(one.actions, own.actions[:-1])
+        np.testing.assert_array_equal(one.rewards, own.rewards[:-1])
+
+
+def _added(name: str, values: list[Any]) -> Callable[[Path], None]:
+    """A column of one value a row, in features and data."""
+
+    def apply(folder: Path) -> None:
+        info = json.loads((folder / "meta/info.json").read_text())
+        info["features"][name] = {"dtype": "string", "shape": [1]}
+        (folder / "meta/info.json").write_text(json.dumps(info))
+        _steps(lambda t: t.append_column(name, pa.array(values)))(folder)
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("values", "names"),
+    [
+        ([0.25] * 4 + [-1.0] * 5, ("goal_0.25", "goal_-1")),
+        (["go left, now"] * 7 + ["go"] * 2, ("go", "go_left_now")),
+        (["a " * 80 + "b"] * 7 + ["a " * 80 + "c"] * 2,
+         ("a_" * 45 + "a-0609d2a7", "a_" * 45 + "a-ad0b0763")),
+    ],
+)  # fmt: skip
+def test_a_column_names_the_tasks(
+    tmp_path: Path, imported: Make, values: list[Any], names: tuple[str, str]
+) -> None:
+    folder = tree(tmp_path / "theirs", "v3.0")
+    _added("my.goal", values)(folder)
+    data = imported(folder, *OWN, "--task-from", "my.goal")
+    assert data.tasks.names == names
+
+
+def test_an_only_success_that_is_left_out_is_told(
+    tmp_path: Path, imported: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tree(tmp_path / "theirs", "v3.0")
+    _column("next.success", [False] * 3 + [True] * 2 + [False] * 3 + [True])(folder)
+    imported(folder, *OWN)
+    assert "after it; with it the only success of 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "said"),
+    [
+        (None, ("--states", "observation.stat"), "unknown column 'observation.stat'"),
+        (None, ("--task-from", "action"), "unknown column of one value 'action'"),
+        (None, ("--task-from", "next.success"), "several tasks"),
+        (_column("task_index", [7] * 9), (), "task_index 7 has no text"),
+        (_column("task_index", ["a"] * 9), (), "task_index a has no text"),
+        (_column("episode_index", [*range(9)]), (), "an episode of one row has no step"),
+        (_column("action", ["a"] * 9), (), "wrong actions"),
+        (_column("next.reward", ["a"] * 9), (), "wrong rewards"),
+    ],
+)
+def test_what_makes_no_family(
+    tmp_path: Path,
+    run: Make,
+    capsys: pytest.CaptureFixture[str],
+    change: Any,
+    words: Any,
+    said: str,
+) -> None:
+    folder = tree(tmp_path / "theirs", "v3.0")
+    if change is not None:
+        change(folder)
+    assert run("import", folder, *OWN, *words, "-o", "x.h5") in (1, 2)
+    error = capsys.readouterr().err
+    assert said in error and str(folder) in error and error.count("error:") == 1
+    assert not Path("x.h5").exists()
+
+
+def test_without_rewards_or_with_words_of_another_format(
+    tmp_path: Path, run: Make, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tree(tmp_path / "theirs", "v3.0", features={"next.reward": {"dtype": "video"}})
+    assert run("import", folder, *OWN, "-o", "x.h5") == 1
+    assert "no next.reward in it; expected the reward of each step" in (
+        " ".join(capsys.readouterr().err.split())
+    )
+    for words, said in (
+        (("--from", "npz", "--family-of", "a", "--states", "b"), "npz has one observation"),
+        (("--from", "npz", "--family-of", "a", "--task-from", "b"), "no columns that name tasks"),
+        ((*ML10, "--states", "b"), "--states and --task-from are of a family of its own"),
+    ):
+        assert run("import", folder, *words, "-o", "x.h5") == 2
+        assert said in capsys.readouterr().err

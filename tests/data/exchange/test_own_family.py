@@ -15,7 +15,8 @@ from mpdt.data.collect.collect import collect
 from mpdt.data.collect.job import make_job
 from mpdt.data.exchange import formats
 from mpdt.data.exchange.incoming import store
-from mpdt.data.exchange.own_family import Asked, read
+from mpdt.data.exchange.own_family import read
+from mpdt.data.exchange.own_sources import Asked
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts
