@@ -1,11 +1,12 @@
-"""Checkpoint of a PPO run: everything to go on from, as one file of tensors with a JSON header.
+"""Checkpoint of a run: everything to go on from, as one file of tensors with a JSON header.
 
     checkpoint.safetensors    policy/...   optimizer/<parameter>/...   observations/...  returns/...
+      of SAC as well          entropy   replay/...   rows/episodes     an optimizer each for three
     header                    `Progress`: counters, learning curve, whose run it is
 
 stable-baselines3 keeps its state as pickles, and whoever loads a pickle runs what is in it. So
 none of its loaders is ever called: the model is built anew and these numbers are put into it.
-Used by pretrain.py and snapshots.py.
+Used by pretrain.py, sac.py and snapshots.py.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ PICKLES = ("checkpoint.zip", "normalize.pkl")
 Arrays = dict[str, NDArray[Any]]
 _MOMENTS = ("exp_avg", "exp_avg_sq")  # of Adam, each of its parameter's shape
 _STATISTICS = {"observations": "obs_rms", "returns": "ret_rms"}
+_REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 class Point(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -105,12 +107,14 @@ def load_checkpoint(work: Path, run: dict[str, Any]) -> tuple[Progress, Arrays] 
 
 
 def restore(model: Any, progress: Progress, arrays: Arrays, path: Path) -> None:
-    """Put the state into `model`, a PPO just built with the same settings, and its env.
+    """Put the state into `model`, just built with the same settings, and its env.
 
     Raises: FormatError unless there is exactly what the model has, in its shapes, all finite.
     """
     import torch
 
+    if _is_sac(model):
+        _set_place(model.replay_buffer, arrays, path)
     wanted, found = _shapes(_arrays(model, moments=bool(progress.updates))), _shapes(arrays)
     for name in sorted(wanted.keys() | found.keys()):
         if wanted.get(name) != found.get(name):
@@ -120,16 +124,21 @@ def restore(model: Any, progress: Progress, arrays: Arrays, path: Path) -> None:
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise _unusable(path, f"numbers that are not finite: {name}")
-    policy, optimizer = model.policy, model.policy.optimizer
+    policy = model.policy
     tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
     policy.load_state_dict({name: tensors[f"policy/{name}"] for name in policy.state_dict()})
-    state = {
-        i: {name: tensors[f"optimizer/{i}/{name}"] for name in ("step", *_MOMENTS)}
-        for i in range(len(list(policy.parameters())))
-        if progress.updates
-    }
-    groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": state, "param_groups": groups})
+    for word, (parameters, optimizer) in _optimizers(model).items():
+        state = {
+            i: {name: tensors[f"{word}/{i}/{name}"] for name in ("step", *_MOMENTS)}
+            for i in range(len(parameters))
+            if progress.updates
+        }
+        groups = optimizer.state_dict()["param_groups"]
+        optimizer.load_state_dict({"state": state, "param_groups": groups})
+    if _is_sac(model):
+        _restore_experience(model, arrays)
+        if "entropy" in tensors:
+            model.log_ent_coef.data.copy_(tensors["entropy"])
     for name, attribute in _STATISTICS.items():
         statistics = getattr(model.get_env(), attribute)
         statistics.mean, statistics.var = arrays[f"{name}/mean"], arrays[f"{name}/var"]
@@ -141,23 +150,69 @@ def restore(model: Any, progress: Progress, arrays: Arrays, path: Path) -> None:
 
 
 def _arrays(model: Any, moments: bool = False) -> Arrays:
-    """State of policy, optimizer and running statistics; `moments`: where none are yet, zeros."""
+    """State of policy, optimizers and running statistics; `moments`: where none are yet, zeros."""
     found: Arrays = {
         f"policy/{name}": value.detach().numpy()
         for name, value in model.policy.state_dict().items()
     }
-    state = model.policy.optimizer.state_dict()["state"]
-    for i, parameter in enumerate(model.policy.parameters()):
-        empty = np.zeros(tuple(parameter.shape), np.float32)
-        own = {name: value.numpy() for name, value in state.get(i, {}).items()}
-        if not own and moments:
-            own = {"step": np.zeros((), np.float32)} | dict.fromkeys(_MOMENTS, empty)
-        found |= {f"optimizer/{i}/{name}": value for name, value in own.items()}
+    for word, (parameters, optimizer) in _optimizers(model).items():
+        state = optimizer.state_dict()["state"]
+        for i, parameter in enumerate(parameters):
+            empty = np.zeros(tuple(parameter.shape), np.float32)
+            own = {name: value.numpy() for name, value in state.get(i, {}).items()}
+            if not own and moments:
+                own = {"step": np.zeros((), np.float32)} | dict.fromkeys(_MOMENTS, empty)
+            found |= {f"{word}/{i}/{name}": value for name, value in own.items()}
     for name, attribute in _STATISTICS.items():
         statistics = getattr(model.get_env(), attribute)
         for field in ("mean", "var", "count"):
             found[f"{name}/{field}"] = np.asarray(getattr(statistics, field), np.float64)
+    return found | _experience(model) if _is_sac(model) else found
+
+
+def _is_sac(model: Any) -> bool:
+    return hasattr(model, "replay_buffer")
+
+
+def _optimizers(model: Any) -> dict[str, tuple[list[Any], Any]]:
+    """Parameters and their optimizer, by the word that its tensors' names begin with."""
+    policy = model.policy
+    if not _is_sac(model):
+        return {"optimizer": (list(policy.parameters()), policy.optimizer)}
+    found = {
+        f"optimizer/{name}": (list(part.parameters()), part.optimizer)
+        for name, part in (("actor", policy.actor), ("critic", policy.critic))
+    }
+    if model.ent_coef_optimizer is not None:
+        found["optimizer/entropy"] = ([model.log_ent_coef], model.ent_coef_optimizer)
     return found
+
+
+def _experience(model: Any) -> Arrays:
+    """Of SAC: what it has seen, how many episodes its rows have begun, the weight of entropy."""
+    buffer = model.replay_buffer
+    found: Arrays = {f"replay/{name}": getattr(buffer, name)[: buffer.size()] for name in _REPLAY}
+    found["replay/place"] = np.array([buffer.pos, buffer.full], np.int64)
+    found["rows/episodes"] = model.get_env().venv.episodes
+    if model.log_ent_coef is not None:
+        found["entropy"] = model.log_ent_coef.detach().numpy()
+    return found
+
+
+def _set_place(buffer: Any, arrays: Arrays, path: Path) -> None:
+    """Where the next transition goes; with it the shapes of what is kept are known."""
+    place = arrays.get("replay/place", np.zeros(0))
+    sound = place.shape == (2,) and place.dtype == np.int64
+    if not (sound and 0 <= place[0] < buffer.buffer_size and place[1] in (0, 1)):
+        raise _unusable(path, "no place in the replay buffer", found=str(place.tolist())[:80])
+    buffer.pos, buffer.full = int(place[0]), bool(place[1])
+
+
+def _restore_experience(model: Any, arrays: Arrays) -> None:
+    buffer = model.replay_buffer
+    for name in _REPLAY:
+        getattr(buffer, name)[: buffer.size()] = arrays[f"replay/{name}"]
+    model.get_env().venv.episodes = np.maximum(arrays["rows/episodes"], 0)
 
 
 def _shapes(arrays: Arrays) -> dict[str, str]:

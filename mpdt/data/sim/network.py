@@ -1,7 +1,7 @@
 """Behaviour networks: shipped rungs, evaluated in numpy, and the ladder they form.
 
-A network is two tanh layers, goal-conditioned, one for all tasks of a family. Its rungs are
-snapshots of one training run, from untrained to final (`pretrain.py`), read by network_file.py.
+A network is two layers of PPO or SAC, goal-conditioned, one for all tasks of a family. Its rungs
+are snapshots of one training run, from untrained to final (`pretrain.py`), read by network_file.py.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.episode import QUALITY_CODES, PolicyInfo
 from mpdt.data.sim.actors import Observations, Policy, Rewards, Rows, UniformPolicy
-from mpdt.data.sim.network_file import Weights, load_network
+from mpdt.data.sim.network_file import Weights, is_squashed, load_network
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.family import Family, Task, resolve
 from mpdt.data.spec.tasks import get_family
@@ -37,12 +37,22 @@ def policy_digest(weights: Weights, noise: float) -> bytes:
 
 
 def network_actions(weights: Weights, inputs: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
-    """Mean actions (B, A) of inputs (B, I), not clipped. float32 throughout."""
+    """Mean actions (B, A) of inputs (B, I), not clipped. float32 throughout.
+
+    PPO   two tanh layers, and an output
+    SAC   two ReLU layers, and an output that tanh squashes between `low` and `high`
+    """
+    squashed = is_squashed(weights)
     x = ((inputs - weights["mean"]) / weights["std"]).astype(np.float32)
     x = np.clip(x, -INPUT_CLIP, INPUT_CLIP)
     for layer in ("0", "1"):
-        x = np.tanh(x @ weights[f"w{layer}"] + weights[f"b{layer}"])
-    return np.asarray(x @ weights["w2"] + weights["b2"], dtype=np.float32)
+        x = x @ weights[f"w{layer}"] + weights[f"b{layer}"]
+        x = np.maximum(x, 0) if squashed else np.tanh(x)
+    x = x @ weights["w2"] + weights["b2"]
+    if squashed:
+        low, high = weights["low"], weights["high"]
+        x = low + np.float32(0.5) * (np.tanh(x) + 1) * (high - low)
+    return np.asarray(x, dtype=np.float32)
 
 
 def network_scene(family: Family) -> str:
@@ -176,11 +186,17 @@ class NetworkLadder:
             level=record.levels[task.name],
             train_step=record.train_step,
             mix_rate=0.0,
-            name=f"ppo-{record.train_step / 1e6:.2f}M",
+            name=_rung_name(self._weights[rung], record.train_step),
         )
 
     def _rung(self, task: Task, rung: int) -> NetworkPolicy:
         return NetworkPolicy(self._family, self._weights[rung], self._noise, self._info(task, rung))
+
+
+def _rung_name(weights: Weights, train_step: int) -> str:
+    if is_squashed(weights):  # SAC learns in so few steps that millions say little
+        return f"sac-{train_step / 1e3:.1f}k"
+    return f"ppo-{train_step / 1e6:.2f}M"
 
 
 def _spread(wanted: int, shipped: int, where: str) -> list[int]:

@@ -1,6 +1,6 @@
 """The two files of a behaviour network, and nothing believed of them.
 
-    <name>.safetensors    arrays rung-00/w0, rung-00/b0, ... rung-19/b2, mean, std
+    <name>.safetensors    arrays rung-00/w0, rung-00/b0, ... rung-19/b2, mean, std; of SAC low, high
     <name>.json           how it was made; each rung's measured return and level per task
 
 Used by network.py (acting), rungs.py and pretrain.py (making). Shipped ones lie in
@@ -27,7 +27,9 @@ from mpdt.disk import disk
 from mpdt.errors import FormatError, MissingFileError, unknown_name
 
 Weights = Mapping[str, NDArray[np.float32]]
-"""mean, std (I,); w0 (I, H), b0 (H,), w1 (H, H), b1 (H,), w2 (H, A), b2 (A,)."""
+"""mean, std (I,); w0 (I, H), b0 (H,), w1 (H, H), b1 (H,), w2 (H, A), b2 (A,).
+
+With low, high (A,) it is one of SAC: `network_actions` says what that changes."""
 
 SUFFIXES = (".safetensors", ".json")
 
@@ -103,6 +105,11 @@ def load_network(name: str) -> Network:
     return Network(described, rungs, (arrays.absolute(), digest) if is_own_network(name) else None)
 
 
+def is_squashed(weights: Weights) -> bool:
+    """Whether SAC trained it."""
+    return "low" in weights or "high" in weights
+
+
 def split_rungs(content: bytes, where: Path) -> list[Weights]:
     """Arrays of every rung in a network file. Raises: FormatError."""
     rungs: dict[str, dict[str, NDArray[np.float32]]] = {}
@@ -131,15 +138,18 @@ def _arrays(content: bytes, where: Path) -> dict[str, NDArray[np.float32]]:
 
 
 def _check(weights: Weights, where: Path) -> None:
-    """Raises: FormatError unless these are two tanh layers and an output, all finite float32."""
+    """Raises: FormatError unless these are two layers and an output, all finite float32."""
     shapes = {name: array.shape for name, array in weights.items()}
     sizes = [*shapes.get("mean", ()), *(n for b in "012" for n in shapes.get(f"b{b}", ()))]
     wanted = {"mean": tuple(sizes[:1]), "std": tuple(sizes[:1])} if len(sizes) == 4 else {}
     for layer, size in enumerate(sizes[1:] if wanted else ()):
         wanted |= {f"w{layer}": (sizes[layer], size), f"b{layer}": (size,)}
+    if wanted and is_squashed(weights):
+        wanted |= {"low": tuple(sizes[3:]), "high": tuple(sizes[3:])}
     sound = all(a.dtype == np.float32 and np.isfinite(a).all() for a in weights.values())
     if shapes != wanted or not sound:
         found = f"{shapes}" if shapes != wanted else "numbers that are not finite float32"
         raise FormatError("not a behaviour network", where=str(where), found=found[:160],
-                          expected="mean, std and three layers of finite float32",
+                          expected="mean, std and three layers of finite float32, for SAC "
+                          "low and high",
                           )  # fmt: skip

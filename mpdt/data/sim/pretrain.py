@@ -1,6 +1,7 @@
 """Train the behaviour network of a family and export its rungs.
 
-    PPO (stable-baselines3) on the family's simulator, one network that sees the goal per family
+    PPO or SAC (stable-baselines3) on the family's simulator, one network per family, which sees
+    the goal
       -> snapshots on the way, each judged on every task
       -> rungs: spread evenly over the normalised return, a medium one for every task
       -> <name>.safetensors and <name>.json, which `NetworkLadder` reads
@@ -27,7 +28,7 @@ from mpdt.data.sim.network_file import load_snapshot
 from mpdt.data.sim.rungs import JUDGED, describe_rungs
 from mpdt.data.spec.family import Family
 from mpdt.data.spec.tasks import FAMILIES, SHIPPED, get_family
-from mpdt.data.spec.training import PretrainSettings, described, own_settings
+from mpdt.data.spec.training import PretrainSettings, SacSettings, Settings, described, own_settings
 from mpdt.disk import check_replaceable, disk, holding, write_bytes
 from mpdt.errors import SimulatorError, UsageError, unknown_name
 
@@ -57,21 +58,23 @@ def pretrain(
         steps: environment steps; the family's setting by default.
         output: folder for `<name>.safetensors`, `<name>.json` and, until the run is done,
             `<name>.pretrain/` with snapshots and the checkpoint to resume from.
-        resume: go on from that checkpoint. False starts over.
+        resume: go on from that checkpoint. False starts over. A run of SAC that was stopped ends
+            with the bytes of one that was not; PPO goes on with other episodes.
         on_progress: called with one line per update.
 
     Returns the path of the weights. Raises UsageError for a family without a network,
-    SimulatorError if the `behaviour` extra is not installed, the simulator breaks its contract, or
-    nothing was learnt; StorageError if the folder cannot be made or written to.
+    SimulatorError if the `behaviour` extra is not installed, the simulator breaks its contract,
+    nothing was learnt, or the numbers ran away; StorageError if the folder cannot be made or
+    written to.
     """
     family, settings = _trainable(name)
     total = settings.steps if steps is None else steps
-    if total < settings.rows * settings.steps_per_update:
-        raise UsageError(
-            "too few steps for one update",
-            expected=f"at least {settings.rows * settings.steps_per_update}",
-            found=str(total),
-        )
+    least = settings.rows * settings.steps_per_update
+    if isinstance(settings, SacSettings):
+        least += settings.warmup
+    if total < least:
+        raise UsageError("too few steps for one update", expected=f"at least {least}",
+                         found=str(total))  # fmt: skip
     folder = (output or Path.cwd()).resolve()
     work = folder / f"{name}.pretrain"
     target, record_path = folder / f"{name}.safetensors", folder / f"{name}.json"
@@ -85,7 +88,7 @@ def pretrain(
         return _pretrain(family, settings, total, seed, work, on_progress or (lambda line: None))
 
 
-def _trainable(name: str) -> tuple[Family, PretrainSettings]:
+def _trainable(name: str) -> tuple[Family, Settings]:
     """Raises: UsageError for a family without a network; SpecError for one that is unusable."""
     if name in SETTINGS:
         return FAMILIES[name], SETTINGS[name]
@@ -117,7 +120,7 @@ def _clear(work: Path) -> None:
 
 def _pretrain(
     family: Family,
-    settings: PretrainSettings,
+    settings: Settings,
     total: int,
     seed: int,
     work: Path,
@@ -164,7 +167,7 @@ def _pretrain(
 
 def _train(
     family: Family,
-    settings: PretrainSettings,
+    settings: Settings,
     total: int,
     seed: int,
     work: Path,
@@ -175,7 +178,8 @@ def _train(
         from stable_baselines3 import PPO
         from stable_baselines3.common.vec_env import VecNormalize
 
-        from mpdt.data.sim.snapshots import Snapshots
+        from mpdt.data.sim.sac import train_sac
+        from mpdt.data.sim.snapshots import Snapshots, learning
         from mpdt.data.sim.vecenv import FamilyVecEnv
     except ImportError as error:
         raise SimulatorError(
@@ -187,6 +191,8 @@ def _train(
     run = {"network": family.name, "seed": seed, "settings": described(settings)}
     if family.module:
         run["scene"] = network_scene(family)
+    if isinstance(settings, SacSettings):
+        return train_sac(family, settings, total, seed, work, run, say)
     kept = load_checkpoint(work, run)
     curve = list(kept[0].curve) if kept else []
     # Other episodes than before a stop: the resumed run is a valid, not an equal one.
@@ -200,7 +206,8 @@ def _train(
                           settings.early)  # fmt: skip
     remaining = total - int(model.num_timesteps)
     if remaining > 0:
-        model.learn(remaining, callback=snapshots, reset_num_timesteps=False)
+        with learning(family):
+            model.learn(remaining, callback=snapshots, reset_num_timesteps=False)
         snapshots.take(int(model.num_timesteps))
     return snapshots.curve
 

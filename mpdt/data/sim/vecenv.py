@@ -53,6 +53,15 @@ class FamilyVecEnv(VecEnv):  # type: ignore[misc]  # untyped base
             spaces.Box(family.action_low, family.action_high, (family.action_size,), np.float32),
         )
 
+    @property
+    def episodes(self) -> NDArray[np.int64]:
+        """(B,) episodes that each row has begun; the next one's seed follows from it."""
+        return self._episodes
+
+    @episodes.setter
+    def episodes(self, begun: NDArray[np.int64]) -> None:
+        self._episodes = begun.copy()
+
     def _start(self, row: int) -> None:
         episode = int(self._episodes[row])
         key = SeedKey(self._seed, self._family.id, 0, Quality.PRETRAINING, episode, row)

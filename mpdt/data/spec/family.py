@@ -110,8 +110,8 @@ class Family:
         one_step: `one_step(family, observations, actions, goals, options)` -> next observations
             (N, D) and rewards (N,), where an observation (N, D) tells the simulator's state; nan in
             columns that it does not tell. Shows whether imported data are of this simulator.
-        pretrain: how its behaviour network is trained, where not as `PretrainSettings` of
-            `training.py` has it; `mpdt-data pretrain NAME` reads it.
+        pretrain: how its behaviour network is trained, where not as `training.py` has it:
+            `algorithm`, ppo or sac, and settings of it; `mpdt-data pretrain NAME` reads it.
         steps_per_s: of one worker, for estimates only.
         policy_rows: rows at which a trained policy is evaluated when its episodes are collected.
         bundle_rows: rows up to which short blocks are stepped side by side; 0 = block by block.
@@ -152,7 +152,7 @@ class Family:
     scripted: Hook = None
     single: Hook = None
     one_step: Hook = None
-    pretrain: Mapping[str, float] = field(default_factory=dict, hash=False)
+    pretrain: Mapping[str, float | str] = field(default_factory=dict, hash=False)
     steps_per_s: float = 5_000.0
     policy_rows: int = 25
     bundle_rows: int = 0

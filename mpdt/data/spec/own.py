@@ -22,7 +22,7 @@ from mpdt.data.spec import tasks as known
 from mpdt.data.spec.family import Family, stored_family
 from mpdt.data.spec.named import import_named
 from mpdt.data.spec.rules import family_problems
-from mpdt.data.spec.training import settings_problems
+from mpdt.data.spec.training import settings_over, settings_problems
 from mpdt.data.spec.yamltext import load_yaml
 from mpdt.errors import DataError, Lines, MpdtError, SpecError, UsageError, nearest
 
@@ -97,7 +97,7 @@ def load_family(name: str, entry: Mapping[str, Any], folder: str) -> Family:
         raise SpecError("no family", where=words, expected="a mpdt.Family, or a function of "
                         "nothing that gives one", found=type(found).__name__)  # fmt: skip
     scripts = dict(found.scripts) | dict(entry.get("scripts", {}))
-    training = dict(found.pretrain) | dict(entry.get("pretrain", {}))
+    training = settings_over(found.pretrain, entry.get("pretrain", {}))
     return _add(replace(found, name=name, scripts=scripts, pretrain=training), words, folder)
 
 
@@ -194,7 +194,7 @@ def _entry_problems(entry: object) -> Iterator[tuple[str, str]]:
     if not isinstance(scripts, dict):
         yield "scripts: expected a block of names", "scripts: {expert: my_policies:act}"
         scripts = {}
-    for problem in settings_problems(entry.get("pretrain", {})):
+    for problem in settings_problems(entry.get("pretrain", {}), whole=False):
         yield problem, ""
     for place, words in [("module", entry.get("module")), *scripts.items()]:
         if not isinstance(words, str) or not all(words.partition(":")):

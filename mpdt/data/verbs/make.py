@@ -216,8 +216,9 @@ class Pretrain(Options):
     """Train the behaviour network of a family and export its rungs.
 
     Of cheetah_dir, cheetah_vel and ant_dir, whose rungs are shipped, or of a family of your own:
-    PPO on its simulator, the task's goal beside the observation. An entry acts by it with
-    `behaviour: {network: ./NAME}`. Needs the extra: pip install 'mpdt[behaviour]'.
+    PPO or SAC on its simulator, the task's goal beside the observation, as the family's `pretrain`
+    says. An entry acts by it with `behaviour: {network: ./NAME}`. Needs the extra:
+    pip install 'mpdt[behaviour]'.
 
     Examples:
       mpdt-data pretrain cheetah_dir
