@@ -19,7 +19,8 @@ from scipy.stats import spearmanr
 from mpdt.draw.table import markdown_table
 from mpdt.train.evaluate.score import MEAN, REFERENCES, Block
 from mpdt.train.fit.validation import PHASE as VALIDATION
-from mpdt.train.study.summary import CellResult, read_cells
+from mpdt.train.study.cells import CellResult
+from mpdt.train.study.summary import read_cells
 
 FREE = ("nothing", "X", "X+rewards", "task id", None)
 

@@ -161,24 +161,43 @@ def level_error(random: Reference, medium: Reference, expert: Reference) -> floa
 def check_levels(plan: Plan, levels: dict[str, TaskLevels], parts: str) -> list[str]:
     """Refuse data whose qualities are not in order.
 
-    Returns: warnings, of levels that lie outside their band by no more than their error; and
-    every complaint about a smoke version, whose few episodes decide nothing.
+    Returns: warnings, of levels that lie outside their band by no more than their error; of a
+    smoke version, whose few episodes decide nothing, one for all complaints.
 
     Raises: DataError naming every task concerned and its returns.
     """
     faults = [fault for task in levels.values() for fault in task.faults()]
     doubts = [doubt for task in levels.values() for doubt in task.doubts()]
-    if not faults or "smoke" in plan.spec.version:
-        return faults + doubts
+    if "smoke" in plan.spec.version:
+        return _summed(faults + doubts, len(levels))
+    if not faults:
+        return doubts
     raise DataError(
         Lines.of("the qualities are not in order, so nothing was written", *faults),
         where=plan.spec.name,
-        hint=f"{_remedy(plan)}; the parts are kept in {parts}",
+        hint=f"{_remedy(plan, levels)}; the parts are kept in {parts}",
     )
 
 
-def _remedy(plan: Plan) -> str:
+def _summed(complaints: list[str], num_tasks: int) -> list[str]:
+    """A line for all of them: there is one for nearly every task, and none decides anything."""
+    if len(complaints) < 2:
+        return complaints
+    return [
+        f"qualities of {len(complaints)} of {num_tasks} tasks are not in order, which a few "
+        f"episodes cannot tell; first {complaints[0]}"
+    ]
+
+
+def _remedy(plan: Plan, levels: Mapping[str, TaskLevels]) -> str:
     name, behaviour = plan.spec.name, plan.spec.behaviour
+    if all(t.random.mean >= t.expert.mean for t in levels.values() if t.faults()):
+        counts = plan.spec.episodes
+        return (
+            f"more episodes tell random and expert apart, if one is better: episodes of {name} in "
+            f"datasets.yaml (now random {counts.random}, expert {counts.expert}, and "
+            f"{plan.spec.reference} where there are none)"
+        )
     if behaviour.script is not None:
         return (
             f"mpdt-data calibrate {quoted(name)} measures the mixing rates again, into this "

@@ -11,6 +11,7 @@ from mpdt.data.exchange import (
     lerobot,
     lerobot_in,
     minari,
+    minari_in,
     mtdiff,
     npz,
     ogbench,
@@ -41,7 +42,7 @@ class Format:
 
 
 FORMATS: dict[str, Format] = {
-    "minari": Format(minari.read, minari.write),
+    "minari": Format(minari_in.read, minari.write),
     "parquet": Format(parquet.read, parquet.write),
     "npz": Format(npz.read, npz.write),
     "d4rl": Format(d4rl.read, d4rl.write, d4rl.LOST),

@@ -8,16 +8,13 @@ With MINARI_DATASETS_PATH=<folder>, `minari.load_dataset(id)` reads them, and an
 again with `env.reset(seed=metadata["seed"], options=metadata["options"])` in the recovered
 environment. Source: Minari 0.5.4, storage and dataset modules; written with h5py alone, since its
 own writer chunks the feature axis and cannot link (0038). A test has both write the same episodes.
+`minari_in.py` reads sets, ours and those of others.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -25,29 +22,18 @@ import h5py
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from mpdt.data.episode import Episode
-from mpdt.data.exchange import foreign, hdf5
-from mpdt.data.exchange.claims import Said
-from mpdt.data.exchange.folder import files_below, left_out
-from mpdt.data.exchange.foreign import Source, quality_code, quality_name
-from mpdt.data.exchange.incoming import Incoming
+from mpdt.data.exchange import hdf5
+from mpdt.data.exchange.foreign import quality_name
 from mpdt.data.exchange.manifest import KEY, Manifest
-from mpdt.data.exchange.minari_claims import goal_of, safe, said_in, said_of_episode
+from mpdt.data.exchange.minari_claims import safe
 from mpdt.data.exchange.selection import Run, Selection
-from mpdt.data.exchange.treatment import RawEpisode, Rules, check_length
 from mpdt.data.spec.env import describe_env
-from mpdt.data.store.sources import EpisodeSource, FileHeader
-from mpdt.errors import DataError, FormatError, ShapeError, UsageError
-from mpdt.reading import decode_json, read_plain, refuse_other
+from mpdt.errors import DataError
 from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
 VERSION = "0.5.0"  # readers accept an exact list; all since 0.5.0 have this one in it
-_STEPS = ("observations", "actions", "rewards", "terminations", "truncations")
+STEPS = ("observations", "actions", "rewards", "terminations", "truncations")
 MAIN = "main_data.hdf5"
-_OF_NAMESPACES = "namespace_metadata.json"
-
-
-# ---- out ----
 
 
 def write(selection: Selection, folder: Path, link: bool = False) -> None:
@@ -86,7 +72,7 @@ def _write_episode(
 ) -> None:
     data, episode = selection.dataset, selection.episode(i)
     first, obs_first = int(data.episodes.start[i]), int(data.episodes.obs_start[i])
-    for name in _STEPS:
+    for name in STEPS:
         if link:
             stored = getattr(data.steps, name)
             source = h5py.VirtualSource(data.path.resolve(), f"steps/{name}", stored.shape,
@@ -124,7 +110,7 @@ def _check_links(path: Path, selection: Selection, run: Run) -> None:
     with h5py.File(path, "r") as file:
         for number, i in enumerate(run.ids.tolist()):
             episode, group = selection.episode(i), file[f"episode_{number}"]
-            for name in _STEPS:
+            for name in STEPS:
                 if not np.array_equal(group[name][()], getattr(episode, name)):
                     raise DataError("links do not show the episodes", where=str(path),
                                     hint="export without --link")  # fmt: skip
@@ -166,165 +152,3 @@ def _metadata(selection: Selection, run: Run, name: str) -> dict[str, Any]:
         "code_permalink": "",
         "description": f"{data.name} {data.version}, task {run.task.name}, {data.license}",
     }
-
-
-# ---- in ----
-
-
-def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
-    """Sets of ours without loss, or sets of others by `rules`, whichever lie below `paths`.
-
-    Raises: UsageError, FormatError, DataError, ShapeError naming set and episode.
-    """
-    known = files_below(paths, ".json")
-    sets = [path.parent for path in known if path.name == "metadata.json"]
-    if not sets:
-        raise UsageError("no Minari dataset there", where=str(paths[0]),
-                         expected="a folder with data/metadata.json in it")  # fmt: skip
-    found = {folder: read_metadata(folder) for folder in sets}
-    read = [folder / name for folder in sets for name in (MAIN, "metadata.json")]
-    remarks = left_out(paths, read + [path for path in known if path.name == _OF_NAMESPACES])
-    if rules is None and all(KEY in metadata for metadata in found.values()):
-        return _read_own(found, remarks)
-    rules = foreign.given(rules)
-    sources = []
-    for folder, metadata in found.items():
-        said = said_in(metadata, rules.family, str(folder)).settled(rules, str(folder))
-        if not said.task:
-            tasks = ", ".join(task.name for task in rules.family.tasks)
-            raise UsageError("of which task?", where="--task", hint=f"one of: {tasks}")
-        sources.append(
-            Source(folder / MAIN, rules.family.task(said.task),
-                   quality_code(said.quality or "unknown"),
-                   partial(foreign_episodes, folder, metadata, said, rules), said.license,
-                   str(metadata.get("dataset_id", "")))
-        )  # fmt: skip
-    return foreign.incoming(sources, rules, name, remarks)
-
-
-def read_metadata(folder: Path) -> dict[str, Any]:
-    path = folder / "metadata.json"
-    refuse_other(path, "the metadata of a Minari dataset", "text")
-    content = read_plain(path)
-    try:
-        metadata = decode_json(content)
-        form, episodes = metadata["data_format"], metadata["total_episodes"]
-    except (ValueError, TypeError, KeyError) as error:
-        raise FormatError("not the metadata of a Minari dataset", where=str(path),
-                          found=f"{type(error).__name__}: {error}"[:120]) from error  # fmt: skip
-    if form != "hdf5" or type(episodes) is not int or type(metadata.get(KEY, "")) is not str:
-        raise FormatError("another storage format", where=str(path),
-                          expected="data_format hdf5", found=str(form)[:40])  # fmt: skip
-    found: dict[str, Any] = metadata
-    return found
-
-
-def foreign_episodes(
-    folder: Path, metadata: dict[str, Any], said: Said, rules: Rules
-) -> Iterator[RawEpisode]:
-    path = folder / MAIN
-    rows = (0, rules.horizon + 1)
-    with hdf5.opened(path) as file:
-        _check_count(file, metadata, path)
-        for number in range(metadata["total_episodes"]):
-            where = f"{path}: episode {number}"
-            group = hdf5.member(file, f"episode_{number}", where)
-            said.and_also(said_of_episode(group.attrs, rules), where)
-            hdf5.array(group, "rewards", where, (0, 0))  # is it one, and no larger than its file?
-            if shape := group["rewards"].shape:
-                check_length(shape[0], rules, where)
-            steps = {name: hdf5.array(group, name, where, rows) for name in _STEPS}
-            yield RawEpisode(**steps, successes=_successes(group, where, rows[1]),
-                             goal=goal_of(group.attrs, where))  # fmt: skip
-
-
-def _successes(group: h5py.Group, where: str, rows: int) -> Any:
-    """Of the steps; infos also have a row for the reset."""
-    if "infos" not in group or "success" not in hdf5.member(group, "infos", where):
-        return None
-    return hdf5.array(group, "infos/success", where, (0, rows))[1:]
-
-
-def _check_count(file: h5py.File, metadata: dict[str, Any], path: Path) -> None:
-    if len(file) != metadata["total_episodes"]:
-        raise FormatError("not the number of episodes in its metadata", where=str(path),
-                          expected=str(metadata["total_episodes"]),
-                          found=str(len(file)))  # fmt: skip
-
-
-def _read_own(found: dict[Path, dict[str, Any]], remarks: Sequence[str]) -> Incoming:
-    manifests = {metadata[KEY]: folder for folder, metadata in found.items()}
-    where = str(min(found))
-    if len(manifests) != 1:
-        raise FormatError("sets of several exports", where=where,
-                          hint="import them one by one")  # fmt: skip
-    manifest = Manifest.from_json(min(manifests), where)
-    entries = [e for folder, metadata in found.items() 
-               for e in _entries(folder, metadata, manifest.header)]  # fmt: skip
-    if len(entries) != manifest.num_episodes:
-        raise DataError("not all sets of the export are there", where=where,
-                        expected=f"{manifest.num_episodes} episodes", found=str(len(entries)),
-                        hint="copy the missing ones, or give --family and --task to import "
-                             "these as foreign data")  # fmt: skip
-    if (steps := sum(entry.num_steps for entry in entries)) != manifest.num_steps:
-        raise DataError("not the steps of the export", where=where,
-                        expected=str(manifest.num_steps), found=str(steps))  # fmt: skip
-    rows = {task.name: row for row, task in enumerate(manifest.header.tasks)}
-    try:
-        entries.sort(key=lambda e: (rows[e.options["task"]], quality_code(e.options["quality"])))
-        sources = [int(e.options["source"]) for e in entries if "source" in e.options]
-    except (KeyError, TypeError, ValueError) as error:
-        raise FormatError("options of an episode are wrong", where=where,
-                          found=f"{type(error).__name__}: {error}"[:120]) from error  # fmt: skip
-    source = EpisodeSource(
-        _own_episodes(entries, manifest, rows), len(entries), manifest.num_steps, sources or None
-    )
-    return manifest.incoming(source, remarks)
-
-
-@dataclass(frozen=True)
-class _Entry:
-    """One episode of one of our sets."""
-
-    path: Path
-    number: int
-    options: dict[str, Any]
-    num_steps: int
-
-
-def _entries(folder: Path, metadata: dict[str, Any], header: FileHeader) -> Iterator[_Entry]:
-    """Raises: ShapeError before anything is reserved for arrays of other sizes."""
-    path = folder / MAIN
-    with hdf5.opened(path) as file:
-        _check_count(file, metadata, path)
-        for number in range(metadata["total_episodes"]):
-            where = f"{path}: episode {number}"
-            group = hdf5.member(file, f"episode_{number}", where)
-            sizes = [hdf5.array(group, name, where, (0, 0)).shape[1:] for name in _STEPS[:3]]
-            wanted = [(header.observation_size,), (header.action_size,), ()]
-            if sizes != wanted:
-                raise ShapeError("arrays of other sizes than the export says", where=where,
-                                 expected=str(wanted), found=str(sizes))  # fmt: skip
-            options = {k.partition("/")[2]: v for k, v in group.attrs.items() if "options/" in k}
-            yield _Entry(path, number, options, len(group["rewards"]))
-
-
-def _own_episodes(
-    entries: Sequence[_Entry], manifest: Manifest, rows: dict[str, int]
-) -> Iterator[Episode]:
-    for path, some in groupby(entries, lambda entry: entry.path):
-        with hdf5.opened(path) as file:
-            for entry in some:
-                where, options = f"{path}: episode {entry.number}", entry.options
-                group = hdf5.member(file, f"episode_{entry.number}", where)
-                rows_read = (0, manifest.num_steps + 1)
-                steps = {name: hdf5.array(group, name, where, rows_read) for name in _STEPS}
-                key = [int(number) for number in options["seed_key"]]
-                yield Episode(
-                    **steps, successes=_successes(group, where, rows_read[1]),
-                    task=manifest.header.tasks[rows[options["task"]]].index,
-                    goal=np.asarray(options["goal"], np.float64),
-                    quality=quality_code(options["quality"]),
-                    progress=float(options["progress"]), policy=bytes.fromhex(options["policy"]),
-                    seed_key=(key[0], key[1], key[2], key[3], key[4]),
-                )  # fmt: skip

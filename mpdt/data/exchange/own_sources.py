@@ -20,10 +20,11 @@ from pathlib import Path
 from typing import Any
 
 from mpdt.data.episode import QUALITY_CODES
-from mpdt.data.exchange import d4rl, flat_npz, hdf5, lerobot_tree, minari
+from mpdt.data.exchange import d4rl, flat_npz, hdf5, lerobot_tree, minari_in
 from mpdt.data.exchange.claims import Said
 from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import quality_code
+from mpdt.data.exchange.minari import MAIN
 from mpdt.data.exchange.treatment import RawEpisode, Rules
 from mpdt.data.spec.family import Family, Task
 from mpdt.data.spec.rules import COLUMN, MOST_STEPS, family_name_problem
@@ -176,10 +177,10 @@ def _minari(paths: Sequence[Path], asked: Asked) -> tuple[list[Found], list[str]
     draft = Rules(asked.format, _draft(asked), asked.horizon or MOST_STEPS, quality="unknown")
     found = []
     for folder in folders:
-        metadata = minari.read_metadata(folder)
+        metadata = minari_in.read_metadata(folder)
         id = str(metadata.get("dataset_id", "")) or folder.parent.name
-        read = partial(minari.foreign_episodes, folder, metadata, Said(), draft)
-        found.append(Found(folder / minari.MAIN, id, id.split("/")[-2] if "/" in id else "", read))
+        read = partial(minari_in.foreign_episodes, folder, metadata, Said(), draft)
+        found.append(Found(folder / MAIN, id, id.split("/")[-2] if "/" in id else "", read))
     return found, []
 
 

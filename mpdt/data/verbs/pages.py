@@ -40,8 +40,8 @@ class Report(Options):
     first test task."""
     no_verify: bool = False
     """Leave the checks out; they take longest."""
-    replay: Annotated[str, arg(metavar="2%|N|all")] = "2%"
-    """Episodes that verify simulates again, as in verify."""
+    replay: Annotated[str | None, arg(metavar="2%|N|all")] = None
+    """Episodes that verify simulates again, as in verify; default 2%."""
     spec: Annotated[Path | None, arg(metavar="YAML")] = None
     """The datasets.yaml whose lock counts; default as in collect."""
 

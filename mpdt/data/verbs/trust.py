@@ -28,8 +28,9 @@ class Verify(Options):
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """File to check; put it before --only and --skip."""
-    replay: Annotated[str, arg(metavar="2%|N|all")] = "2%"
-    """Episodes to simulate again: a share of each quality of each task, a number, or all."""
+    replay: Annotated[str | None, arg(metavar="2%|N|all")] = None
+    """Episodes to simulate again: a share of each quality of each task, a number, or all; where
+    none can be, the check then fails. Default 2%, as far as that goes."""
     workers: Annotated[int | None, arg(metavar="N")] = None
     """Processes for long replays; default one per core, 0 = none."""
     locked: bool = False

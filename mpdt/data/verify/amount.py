@@ -17,6 +17,9 @@ from mpdt.data.verify.material import Material, Track
 from mpdt.errors import DataError, UsageError
 from mpdt.seeding import UNKNOWN_SEED_KEY
 
+SHARE = "2%"
+"""What is taken where nobody says how much."""
+
 
 @dataclass(frozen=True)
 class Amount:

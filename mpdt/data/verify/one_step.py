@@ -82,6 +82,7 @@ def with_one_step(bare: Finding, material: Material) -> Finding:
         return bare
     text = f"{bare.text}; {found.text()}"
     if not found.reward[0] <= STRANGE * found.spread:
-        return Finding(bare.id, Outcome.WARN, f"{text}: another reward, or another robot",
+        outcome = Outcome.FAIL if bare.outcome is Outcome.FAIL else Outcome.WARN
+        return Finding(bare.id, outcome, f"{text}: another reward, or another robot",
                        hint="is it this family, and are the rewards its own?")  # fmt: skip
     return replace(bare, text=text)

@@ -41,6 +41,7 @@ ID = "replay"
 ROWS = 50  # episodes side by side
 WORTH_IT_S = 4.0
 """Seconds of stepping from which on processes are started for it, which takes one or two."""
+NOTHING = "asked for, but nothing was replayed"
 
 
 @dataclass(frozen=True)
@@ -178,9 +179,18 @@ class _Tally:
 
 
 def check_replay(
-    material: Material, amount: Amount, say: Callable[[str], None], workers: int = 0
+    material: Material,
+    amount: Amount,
+    say: Callable[[str], None],
+    workers: int = 0,
+    asked: bool = False,
 ) -> Finding:
-    """Args: workers: as `replay`."""
+    """What `amount` of the file shows.
+
+    Args:
+        workers: as `replay`.
+        asked: somebody wants this very check: that it cannot be made is a failure.
+    """
     data, tally = material.dataset, _Tally()
     names = decisive_packages(data.family)
     other = other_versions(data.packages, provenance.packages(), names)
@@ -202,14 +212,21 @@ def check_replay(
         # A file of our own whose goals or seeds the simulator refuses is damaged.
         ours = material.family is not None and not material.is_imported and not excuse
         damaged = ours and isinstance(error, UsageError | DataError)
-        outcome = Outcome.FAIL if damaged else Outcome.WARN
-        return Finding(ID, outcome, f"not simulated: {error.message()}", hint=hint)
+        outcome = Outcome.FAIL if damaged or asked else Outcome.WARN
+        what = "not simulated" if damaged else "not checked"
+        if asked:
+            after = f"stopped after {tally.episodes:,} episodes"
+            what = after if tally.episodes else NOTHING
+        return Finding(ID, outcome, f"{what}: {error.message()}", hint=hint)
     if tally.episodes:
         seconds = max(time.monotonic() - began, 1e-9)
         say(f"replay   {tally.steps:,} steps in {seconds:.1f} s: {tally.steps / seconds:,.0f} "
             "steps/s")  # fmt: skip
     else:
         bare = nothing(ID, "no episode has a seed" if len(data.episodes) else "no episodes")
+        if asked and len(data.episodes):
+            text = f"{NOTHING}: no episode has a seed"
+            bare = Finding(ID, Outcome.FAIL, text, hint="--skip replay leaves this check out")
         return with_one_step(bare, material)
     faults = [
         fault(what, sorted(ids), track, doubt=bool(excuse))

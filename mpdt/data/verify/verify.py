@@ -17,7 +17,7 @@ import numpy as np
 
 from mpdt.data.lock.file import LockEntry, read_lock
 from mpdt.data.store.origin import damaged_hint
-from mpdt.data.verify.amount import Amount
+from mpdt.data.verify.amount import SHARE, Amount
 from mpdt.data.verify.claims import check_claims
 from mpdt.data.verify.duplicates import DuplicatesCheck
 from mpdt.data.verify.file_format import open_unchecked
@@ -60,7 +60,7 @@ def verify(
     *,
     only: Sequence[str] = (),
     skip: Sequence[str] = (),
-    replay: str = "2%",
+    replay: str | None = None,
     lock: Path | None = None,
     say: Callable[[str], None] = lambda line: None,
     workers: int = 0,
@@ -70,7 +70,9 @@ def verify(
     Args:
         only, skip: ids of CHECKS. `format` and `shapes` are looked at in any case, and told of
             if they fail.
-        replay: `2%` of each run, a number of episodes in all, or `all`.
+        replay: `2%` of each run, a number of episodes in all, or `all`; then, or with the check in
+            `only` and no import, it fails where nothing can be replayed. None: 2 %, as far as
+            that goes.
         lock: datasets.lock to compare with.
         say: told what takes long.
         workers: processes for long replays, which in a script need `if __name__ == "__main__":`;
@@ -84,16 +86,20 @@ def verify(
     if workers < 0:
         raise UsageError("a negative number of workers", found=str(workers))
     wanted = {id for id in CHECKS if (not only or id in only) and id not in skip}
-    amount, entries = Amount.parse(replay), read_lock(lock) if lock else {}
+    amount = Amount.parse(SHARE if replay is None else replay)
+    entries = read_lock(lock) if lock else {}
     with np.errstate(all="ignore"):
         material, found = _open(path)
         if material is not None:
+            # Of an import the check alone asks for what stands in a replay's place.
+            asked = replay is not None or ("replay" in only and not material.is_imported)
             entry = (str(lock), entries.get(material.dataset.name)) if lock else None
             found += _stream(_step_checks(material, wanted, entry), material, say)
             for id, check in (
                 ("quality", check_quality), ("leak", check_leak),
                 ("claims", partial(check_claims, lock=entry)), ("tta", check_tta),
-                ("replay", partial(check_replay, amount=amount, say=say, workers=workers)),
+                ("replay", partial(check_replay, amount=amount, asked=asked, say=say,
+                                   workers=workers)),
             ):  # fmt: skip
                 if id in wanted:
                     found.append(_guarded(id, path, partial(check, material)))
@@ -110,7 +116,10 @@ def verify(
 
 
 def verify_all(
-    paths: Sequence[Path], *, replay: str = "2%", say: Callable[[str], None] = lambda line: None
+    paths: Sequence[Path],
+    *,
+    replay: str | None = None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> Report:
     """`verify` of each file; of several each finding begins with the name of its file."""
     reports = [verify(path, replay=replay, say=say) for path in paths]

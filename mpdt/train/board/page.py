@@ -23,9 +23,10 @@ from mpdt.errors import FormatError
 from mpdt.reading import read_plain
 from mpdt.train.board.rows import REFERENCE, TRAINED, Row, Standing, standings
 from mpdt.train.evaluate.aggregate import improvement, profile
+from mpdt.train.study.once import place_in_studies, pooled
 from mpdt.train.study.protocols import PROTOCOLS
-from mpdt.train.study.summary import pooled
 
+READS_NOTHING = PROTOCOLS[0].name
 BEST = 6
 """Rows of a protocol that the page shows."""
 WIDE, LETTERS = 720, 56
@@ -119,7 +120,29 @@ def _protocols(own: Sequence[Standing]) -> list[str]:
 def ranking(own: Sequence[Standing], protocol: str) -> list[Standing]:
     """The methods of a protocol by mean return, best first."""
     found = [one for one in own if one.rows[0].protocol == protocol]
+    if protocol == READS_NOTHING:
+        found = _told_once(found)
     return sorted(found, key=lambda one: (-one.mean, one.rows[0].method))
+
+
+def _told_once(found: Sequence[Standing]) -> list[Standing]:
+    """Without methods all of whose rows are those of another one: the same weights, judged again.
+
+    A board does not know weights; nobody else has the same levels on every task.
+    """
+
+    def place(one: Standing) -> tuple[int, int]:
+        row = one.rows[0]
+        return -len(one.rows), place_in_studies(row.family, pooled(row.method.split(" ")[0]))
+
+    kept: list[Standing] = []
+    seen: set[tuple[float, tuple[tuple[str, float], ...]]] = set()
+    for one in sorted(found, key=place):
+        rows = {(row.mean, row.levels) for row in one.rows}
+        if not rows <= seen:
+            kept.append(one)
+            seen |= rows
+    return kept
 
 
 def read_published(path: Path) -> list[list[str]]:

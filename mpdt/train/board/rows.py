@@ -27,8 +27,8 @@ from mpdt.errors import FormatError
 from mpdt.reading import read_plain
 from mpdt.train.evaluate.aggregate import iqm, stratified_interval
 from mpdt.train.evaluate.score import MEAN, REFERENCES, Score
+from mpdt.train.study.once import pooled
 from mpdt.train.study.protocols import protocol_of
-from mpdt.train.study.summary import pooled
 
 TRAINED, REFERENCE, OUTSIDE = "training tasks", "reference", "said by nobody"
 COLUMNS = ("family", "protocol", "method", "seed", "return", "success", "normalised", "iqm", "low",

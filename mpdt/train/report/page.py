@@ -34,8 +34,9 @@ from mpdt.train.report.charts import (
 )
 from mpdt.train.report.study_tables import report_tables
 from mpdt.train.run.results import scores_in
+from mpdt.train.study.cells import CellResult
 from mpdt.train.study.maps import map_pixels, prompt_maps
-from mpdt.train.study.summary import CellResult, summarise, task_intervals
+from mpdt.train.study.summary import summarise, task_intervals
 from mpdt.version import __version__
 
 

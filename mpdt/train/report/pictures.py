@@ -21,9 +21,10 @@ from mpdt.disk import disk
 from mpdt.draw.chart import Axis, Chart, Dot, Mark, axis_over, line, row_chart
 from mpdt.draw.sheet import Sheet, write_sheet
 from mpdt.train.report.charts import REFERENCE, Points
+from mpdt.train.study.cells import CellResult
 from mpdt.train.study.maps import KEPT, map_pixels, prompt_maps
 from mpdt.train.study.protocols import split_own
-from mpdt.train.study.summary import CellResult, Row, best_of_each, summarise, task_intervals
+from mpdt.train.study.summary import Row, best_of_each, summarise, task_intervals
 
 WIDE, LETTERS = 720, 48  # names are written out: nothing is told by pointing at a linked picture
 COLOURS = {

@@ -11,9 +11,10 @@ from mpdt.disk import disk, write_bytes
 from mpdt.draw.table import Table, markdown_page, rich_tables
 from mpdt.train.evaluate.tables import NORMALISED
 from mpdt.train.run.show import WIDTH_WITHOUT_TERMINAL
+from mpdt.train.study.cells import CellResult
 from mpdt.train.study.claims import CLAIMED_OF, GOALS, claims_table, goals_table
 from mpdt.train.study.protocols import protocols_table
-from mpdt.train.study.summary import CellResult, cells_csv, read_cells, studies_in, study_tables
+from mpdt.train.study.summary import cells_csv, read_cells, studies_in, study_tables
 
 
 def report_tables(cells: Sequence[CellResult], studies: Sequence[str]) -> list[Table]:

@@ -7,7 +7,8 @@ together     one file per (data, label, seed), one content per data set, and for
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,6 +27,17 @@ Points = Annotated[list[tuple[float, float]], Meta(min_length=1)]
 Seen = dict[tuple[object, ...], tuple[Path, Any]]
 """The first file that said something, and what it said."""
 _AGAIN = "move it away; its study makes it again"
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """One stored result of a study, as tables take it."""
+
+    data: str
+    label: str
+    seed: int
+    scores: tuple[Score, ...]
+    content: Mapping[str, Any]
 
 
 class DataPart(msgspec.Struct, frozen=True):

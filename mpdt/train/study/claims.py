@@ -18,16 +18,17 @@ from typing import Literal
 
 from mpdt.draw.table import Table
 from mpdt.train.evaluate.score import MEAN, REFERENCES, ZERO
+from mpdt.train.study.cells import CellResult
+from mpdt.train.study.once import NOTHING
 from mpdt.train.study.protocols import (
     FEW_SHOT,
-    NOTHING,
     TRIALS,
     X_AND_TRIALS,
     ZERO_SHOT,
     has_own_episodes,
     own_episodes,
 )
-from mpdt.train.study.summary import CellResult, Row, summarise
+from mpdt.train.study.summary import Row, summarise
 
 Verdict = Literal["confirmed", "reversed", "not confirmed", "not run"]
 

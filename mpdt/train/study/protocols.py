@@ -21,9 +21,10 @@ import numpy as np
 
 from mpdt.draw.table import Table
 from mpdt.train.evaluate.score import MEAN, REFERENCES
-from mpdt.train.study.summary import CellResult, Row, pooled, summarise
+from mpdt.train.study.cells import CellResult
+from mpdt.train.study.once import NOTHING, pooled, told_once
+from mpdt.train.study.summary import Row, summarise
 
-NOTHING: tuple[str, ...] = ("nothing", "task id")
 ZERO_SHOT: tuple[str, ...] = (*NOTHING, "X", "X+rewards")
 FEW_SHOT: tuple[str, ...] = ("labelled steps", "demonstration")
 TRIALS: tuple[str, ...] = ("trials",)
@@ -89,7 +90,8 @@ def protocols_table(cells: Sequence[CellResult]) -> Table:
         told = {line[1] for line in lines if line[0] == data}
         absent = [one.name for one in PROTOCOLS if one.name not in told]
         missing += [f"{data}: no row that reads {', '.join(absent)}"] if absent else []
-    notes = ("runs: training seeds, or training seeds times seeds of trials",)
+    notes = ("runs: training seeds, or training seeds times seeds of trials; weights that several "
+             "labels judged without reading anything are one row",)  # fmt: skip
     return Table("By protocol, on unseen tasks", columns, tuple(lines), (*notes, *missing))
 
 
@@ -120,7 +122,7 @@ def _numbers(row: Row, reached: dict[str, float]) -> tuple[str, str, str, str]:
 def _normalised(cells: Sequence[CellResult]) -> dict[str, float]:
     """Mean normalised return over tasks and runs of each method."""
     found: dict[str, list[float]] = {}
-    for cell in cells:
+    for cell in told_once(cells):
         for score in cell.scores:
             if (score.block, score.task) == ("test", MEAN):
                 found.setdefault(pooled(score.method), []).append(score.normalised)

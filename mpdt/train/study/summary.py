@@ -13,11 +13,9 @@ from __future__ import annotations
 import csv
 import io
 import math
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,19 +23,9 @@ from numpy.typing import NDArray
 from mpdt.draw.table import Table
 from mpdt.train.evaluate.aggregate import iqm, seed_interval, stratified_interval
 from mpdt.train.evaluate.score import MEAN, REFERENCES, Block, Score
-from mpdt.train.study.cells import read_cell_files
+from mpdt.train.study.cells import CellResult, read_cell_files
+from mpdt.train.study.once import pooled, told_once
 from mpdt.train.study.plans import STUDIES
-
-
-@dataclass(frozen=True)
-class CellResult:
-    """One stored result of a study."""
-
-    data: str
-    label: str
-    seed: int
-    scores: tuple[Score, ...]
-    content: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -79,18 +67,10 @@ def read_cells(folder: Path) -> list[CellResult]:
     ]
 
 
-def pooled(method: str) -> str:
-    """Rows that differ in the seed of their trials alone are runs of one method.
-
-    ones-alone-t1 10 own episodes -> ones-alone 10 own episodes
-    """
-    return re.sub(r"^(\S+)-t\d+(?= |$)", r"\1", method)
-
-
 def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:
     """Rows of one data set: references once, then the methods in the order of the cells."""
     by_method: dict[str, list[list[Score]]] = {}
-    for cell in cells:
+    for cell in told_once(cells):
         own: dict[str, list[Score]] = {}
         for score in cell.scores:
             if score.block == block:
@@ -118,7 +98,7 @@ def task_intervals(
 ) -> dict[str, dict[str, tuple[float, float, float]]]:
     """task -> method -> mean return and its interval, over seeds as in `summarise`."""
     found: dict[str, dict[str, list[Score]]] = {}
-    for cell in cells:
+    for cell in told_once(cells):
         for score in cell.scores:
             if score.block == block and score.task != MEAN:
                 methods = found.setdefault(score.task, {})

@@ -199,13 +199,21 @@ def test_scripts_are_sent_to_calibrate(tiny_spec: DatasetSpec) -> None:
     with pytest.raises(DataError, match=r"level 0\.900 \+- 0\.010") as caught:
         levels.check_levels(make_plan(spec), {"reach": bad}, "x.h5.parts")
     assert caught.value.hint.startswith("mpdt-data calibrate tiny ")
+    # An expert below random is no matter of rates, and least where no medium is asked for.
+    ends = References({"random": Reference(10.0, 2.0), "expert": Reference(9.0, 2.0)})
+    short = levels.TaskLevels("reach", ends, Reference())
+    with pytest.raises(DataError, match=r"expert 9.0 is not above random 10.0") as caught:
+        levels.check_levels(make_plan(spec), {"reach": short}, "x.h5.parts")
+    assert caught.value.hint.startswith("more episodes ")
+    assert "random 4, expert 4" in caught.value.hint and "calibrate" not in caught.value.hint
 
 
 def test_a_smoke_version_only_warns(fakes: Fakes, tiny_spec: DatasetSpec, tmp_path: Path) -> None:
     fakes(0.9)
     done = collect(make_job(smoke_of(tiny_spec)), tmp_path / "x.h5", workers=0)
-    assert len(done.warnings) == 2
-    assert "forward: medium" in done.warnings[0]
+    (warning,) = done.warnings
+    assert warning.startswith("qualities of 2 of 2 tasks are not in order")
+    assert "first forward: medium" in warning
 
 
 def test_too_little_room_stops_before_anything_is_written(

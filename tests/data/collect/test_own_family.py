@@ -23,6 +23,7 @@ from mpdt.data.slices.merge import check_kin
 from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.entry import Behaviour, DatasetSpec, EpisodeCounts, TtaRule
 from mpdt.data.spec.tasks import FAMILIES
+from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import verify
 from mpdt.errors import DataError, SpecError
 
@@ -68,6 +69,7 @@ def test_all_that_the_seven_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert alone.tasks.indices == (0, 1, 2) and not alone.contract().simulates
     outcome = {finding.id: finding for finding in verify(data.path).findings}
     assert outcome["replay"].outcome.value == "WARN" and "is not here" in outcome["replay"].text
+    assert verify(data.path, replay="all").count(Outcome.FAIL) == 1
     some = cut_file(alone, Cut(quality="expert"), tmp_path / "some.h5")
     assert some.definition == alone.definition and some.tasks.envs == alone.tasks.envs
     batch = mpdt.windows(some, window=4, per_task=2).batch(0)
@@ -139,6 +141,9 @@ def test_another_definition_is_other_data(tmp_path: Path, monkeypatch: pytest.Mo
     mpdt.register_family(line(tasks=moved))
     with pytest.raises(DataError, match=r"another definition of line: task 2 .far test \[4.0\]"):
         collect(make_job(spec(**few)), target, workers=0)
+    (told,) = verify(target, only=["replay"]).findings
+    assert told.outcome is Outcome.FAIL
+    assert told.text.startswith("stopped after 2 episodes: line, far: another goal")
     folder = PartsFolder(tmp_path / "next.h5")
     with folder.locked():
         folder.agree(describe_plan(job.plan))

@@ -257,7 +257,7 @@ def test_minaris_own_writer_writes_the_same(reach: Path, exported: Make, tmp_pat
         EpisodeBuffer(
             id=number, seed=start["seed"], options=start["options"],
             infos={"success": np.append(False, one.successes)},
-            **{name: getattr(one, name) for name in minari._STEPS},
+            **{name: getattr(one, name) for name in minari.STEPS},
         )
         for number, (start, one) in enumerate(zip(starts, map(data.episode, ids), strict=True))
     )  # fmt: skip
@@ -265,7 +265,7 @@ def test_minaris_own_writer_writes_the_same(reach: Path, exported: Make, tmp_pat
     for numbers in ([0], range(len(ids))):
         for one, other in zip(*(s.get_episodes(numbers) for s in (ours, theirs)), strict=True):
             assert one.keys() == other.keys()
-            for name in minari._STEPS:
+            for name in minari.STEPS:
                 np.testing.assert_array_equal(one[name], other[name])
                 assert one[name].dtype == other[name].dtype
             np.testing.assert_array_equal(one["infos"]["success"], other["infos"]["success"])

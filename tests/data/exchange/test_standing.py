@@ -85,6 +85,7 @@ def test_a_check_with_nothing_to_check_neither_passes_nor_fails(
     for id in ("quality", "duplicates", "tta"):
         assert told[id] == "NONE", id
     assert told["replay"] == "WARN", "made-up numbers are of no simulator, which one step shows"
+    assert outcomes(run, capsys, "--replay", "all")["replay"] == "FAIL", "asked for, and not done"
     run("verify", "imported.h5")
     text = capsys.readouterr().out
     assert "[NONE] tta         nothing to check: no sets" in text

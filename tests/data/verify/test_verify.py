@@ -217,7 +217,7 @@ def test_on_another_mujoco_replay_warns_with_figures(
     assert "35/36 episodes byte-equal" in text and "mujoco 3.3.0 -> 9.9.9" in text
 
 
-def test_files_without_seeds_or_simulator_only_warn(
+def test_files_without_seeds_or_simulator_fail_only_where_replay_was_asked_for(
     change: Apply, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from mpdt.data.verify import replay
@@ -232,12 +232,20 @@ def test_files_without_seeds_or_simulator_only_warn(
 
     with monkeypatch.context() as patch:
         patch.setattr(replay, "make_batch", refuse)
-        report = verify(change(lambda f: None), only=["replay"])
+        path = change(lambda f: None)
+        report = verify(path)
         assert outcomes(report, Outcome.WARN) == {"replay"}
-        assert "mujoco is not installed" in finding(report, "replay").text
-    report = verify(change(forget, seal=True), only=["replay"])
-    assert outcomes(report, Outcome.WARN) == {"replay"}
-    assert "without a seed" in finding(report, "replay").text
+        assert finding(report, "replay").text == "not checked: mujoco is not installed"
+        for asked in ({"only": ["replay"]}, {"replay": "all"}, {"replay": "2%"}):
+            report = verify(path, **asked)
+            assert outcomes(report) == {"replay"}
+            text = "asked for, but nothing was replayed: mujoco is not installed"
+            assert finding(report, "replay").text == text
+    path = change(forget, seal=True)
+    told = finding(verify(path), "replay")
+    assert told.outcome is Outcome.WARN and "without a seed" in told.text
+    assert finding(verify(path, only=["replay"]), "replay") == told, "an import never has seeds"
+    assert finding(verify(path, replay="1"), "replay").outcome is Outcome.FAIL
 
 
 # ---- choosing ----

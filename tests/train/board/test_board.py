@@ -10,7 +10,7 @@ from mpdt.data.lock.file import Hashes, LockEntry, Size, lock_bytes
 from mpdt.data.spec.entry import spec_hash
 from mpdt.errors import DataError, FormatError, UsageError
 from mpdt.train.board.page import board_page, draw_board, picture_name, ranking, read_published
-from mpdt.train.board.rows import board_csv, read_board, rows_of, standings
+from mpdt.train.board.rows import Row, board_csv, read_board, rows_of, standings
 from mpdt.train.board.submit import command_of, submit
 from mpdt.train.cli import main, parse
 from mpdt.train.evaluate.score import MEAN, Score, encode_results
@@ -229,6 +229,21 @@ def test_the_page_shows_what_is_best(tmp_path, lock):
     drawn = picture.read_text()
     assert picture.name == picture_name("tiny") and "share of tasks and seeds above" in drawn
     assert "chance that MPDT-ones infer beats" in drawn
+
+
+def test_the_page_counts_weights_that_read_nothing_once():
+    """few-shot-all judged them again; ml10's other row and what reads X stay."""
+    rows = [
+        Row(family="ml10", protocol=protocol, method=f"{label} row", seed="0", mean=mean,
+            success=None, normalised=0.1, reads=reads, episodes=2, horizon=9, data="ml10 1.0.0",
+            content_hash=CONTENT, code="mpdt 0.1.0", command="", levels=(("left", mean / 10),))
+        for label, mean in (("few-shot-all", 3.0), ("ones-long", 3.0), ("MPDT-E", 2.0))
+        for protocol, reads in (("nothing", "nothing"), ("X alone (published)", "X"))
+    ]  # fmt: skip
+    own = standings(rows)
+    names = [one.rows[0].method for one in ranking(own, "nothing")]
+    assert names == ["ones-long row", "MPDT-E row"]
+    assert len(ranking(own, "X alone (published)")) == 3
 
 
 def test_the_boards_of_this_repository_are_fresh():

@@ -14,8 +14,8 @@ from mpdt.train.evaluate.score import EXPERT, MEAN, RANDOM, ZERO, Score, encode_
 from mpdt.train.report import page
 from mpdt.train.report.charts import REFERENCE, adaptation_chart, colours, legend, short_names
 from mpdt.train.report.page import run_content, study_content, write_result
+from mpdt.train.study.cells import CellResult
 from mpdt.train.study.maps import map_pixels
-from mpdt.train.study.summary import CellResult
 
 EVIL = "</title><script>alert(1)</script>"
 NAN = float("nan")

@@ -12,8 +12,8 @@ from mpdt.model.weights import WeightsHeader, save_weights
 from mpdt.train.evaluate.score import MEAN, Score
 from mpdt.train.report import pictures
 from mpdt.train.report.pictures import draw_kept_prompts, draw_prompts, draw_study
+from mpdt.train.study.cells import CellResult
 from mpdt.train.study.maps import KEPT, MAPS, keep_prompts, prompt_maps
-from mpdt.train.study.summary import CellResult
 
 SCORES = tuple(
     Score(block="test", task=task, method="m infer", mean=1.0, low=0.5, high=1.5, normalised=0.1,

@@ -8,6 +8,7 @@ from mpdt.train.adapt.align import LABELS
 from mpdt.train.evaluate.score import MEAN, Score
 from mpdt.train.report.study_tables import report_tables
 from mpdt.train.study import claims
+from mpdt.train.study.cells import CellResult
 from mpdt.train.study.claims import (
     CLAIMED_OF,
     CLAIMS,
@@ -22,7 +23,7 @@ from mpdt.train.study.claims import (
 from mpdt.train.study.plans import STUDIES
 from mpdt.train.study.protocols import FEW_SHOT, TRIALS, X_AND_TRIALS
 from mpdt.train.study.study import configure
-from mpdt.train.study.summary import CellResult, Row
+from mpdt.train.study.summary import Row
 
 
 def row(low, high, method="m"):

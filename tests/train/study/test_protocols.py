@@ -3,8 +3,9 @@
 import pytest
 
 from mpdt.train.evaluate.score import MEAN, Score
+from mpdt.train.study.cells import CellResult
+from mpdt.train.study.once import pooled
 from mpdt.train.study.protocols import PROTOCOLS, protocols_table, split_own
-from mpdt.train.study.summary import CellResult, pooled
 
 
 def cell(seed, rows):

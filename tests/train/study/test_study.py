@@ -13,10 +13,10 @@ from mpdt.train.evaluate.score import MEAN, Score, encode_results
 from mpdt.train.run.progress import Progress
 from mpdt.train.study import plans as studies
 from mpdt.train.study import study
+from mpdt.train.study.cells import CellResult
 from mpdt.train.study.plans import STUDIES, Cell, get_study
 from mpdt.train.study.study import Places, configure, encode_cell, inspect_cell, run_study
 from mpdt.train.study.summary import (
-    CellResult,
     best_of_each,
     cells_csv,
     is_study,
