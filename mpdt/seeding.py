@@ -59,6 +59,8 @@ class Quality(IntEnum):
     REFERENCE_CONSTANT = 12
     POLICY = 13
     TRIAL = 14
+    RECORDED = 15
+    """Of an import: the seed stands in its spec, `import.seeds[block][row]`."""
 
 
 @dataclass(frozen=True)

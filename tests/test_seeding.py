@@ -75,6 +75,7 @@ def test_stored_codes_never_change() -> None:
         "REFERENCE_CONSTANT": 12,
         "POLICY": 13,
         "TRIAL": 14,
+        "RECORDED": 15,
     }
     assert [int(stream) for stream in Stream] == [0, 1, 2, 3, 4]
 

@@ -22,6 +22,7 @@ from mpdt.data.reference import References
 from mpdt.data.sim.simulators import not_installed
 from mpdt.data.spec.catalog import shipped_catalog
 from mpdt.data.spec.entry import DatasetSpec, EpisodeCounts
+from mpdt.data.spec.recorded import Recorded
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.sources import FileHeader
 from mpdt.errors import DataError, MpdtError
@@ -35,6 +36,11 @@ def standing_spec(dataset: Dataset) -> DatasetSpec:
     """
     if dataset.definition and not (family := dataset.contract()).simulates:
         raise not_installed(family)
+    if dataset.definition and isinstance(family.env, Recorded):
+        raise DataError("nothing more is made of a family that an import made",
+                        where=str(dataset.path), expected="zero and random, measured at the import",
+                        hint="a module of your own under `families` in datasets.yaml, and an entry "
+                        "of it, are collected, adapted to and measured as any other")  # fmt: skip
     try:
         return msgspec.convert(dict(dataset.spec), DatasetSpec)
     except msgspec.ValidationError as error:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.tables import TaskRow
 from mpdt.disk import sha256
 from mpdt.errors import DataError, UsageError, unknown_name
-from mpdt.seeding import UNKNOWN_SEED_KEY
+from mpdt.seeding import UNKNOWN_SEED_KEY, Quality
 
 _OWN_PACKAGES = ("mpdt", "python", "numpy", "h5py", "hdf5")
 """What read the files. The simulator that made them is unknown, so none is named."""
@@ -69,6 +69,8 @@ class _Tally:
 
     source: Source
     kept: list[bool]
+    seeds: list[int] = field(default_factory=list)
+    """Of those kept, where they are known."""
     has_success: bool = False
     steps: int = 0
     clipped_numbers: int = 0
@@ -156,6 +158,8 @@ def _count(source: Source, rules: Rules, seen: set[tuple[int, bytes]]) -> _Tally
         new = (source.task.index, digest) not in seen
         seen.add((source.task.index, digest))
         tally.kept.append(new)
+        if new and raw.seed is not None:
+            tally.seeds.append(raw.seed)
         tally.steps += len(found.rewards) * new
         if not number:
             tally.has_success = found.successes is not None
@@ -180,13 +184,27 @@ def _check_goal(raw: RawEpisode, task: Task, where: str) -> None:
                         hint="name the task of that goal with --task")  # fmt: skip
 
 
+def _seeds(tallies: Sequence[_Tally], rules: Rules) -> list[list[str]]:
+    """By source and episode, as text; empty unless all are known and asked for."""
+    known = all(len(tally.seeds) == sum(tally.kept) for tally in tallies)
+    if not (rules.with_seeds and known):
+        return []
+    return [[str(seed) for seed in tally.seeds] for tally in tallies]
+
+
 def _episodes(tallies: Sequence[_Tally], rules: Rules) -> Iterator[Episode]:
-    for tally in tallies:
-        source = tally.source
+    has_seeds = bool(_seeds(tallies, rules))
+    for place, tally in enumerate(tallies):
+        source, row = tally.source, 0
         for number, (raw, kept) in enumerate(zip(source.read(), tally.kept, strict=True)):
             if kept:
                 treated = treat(raw, rules, f"{source.path}: episode {number}")
-                yield _episode(source, raw, treated)
+                found = _episode(source, raw, treated)
+                if has_seeds:
+                    key = (rules.family.id, source.task.index, int(Quality.RECORDED), place, row)
+                    found = replace(found, seed_key=key)
+                yield found
+                row += 1
 
 
 def _episode(source: Source, raw: RawEpisode, found: Treated) -> Episode:
@@ -209,7 +227,7 @@ def _header(
         env = describe_env({"horizon": rules.horizon}, family.name, task.name, told)
         return TaskRow(task.name, task.index, task.role, env)
 
-    versions = provenance.packages()
+    versions, seeds = provenance.packages(), _seeds(tallies, rules)
     return FileHeader(
         family=family.name, name=name, version="0.0.0",
         license=combined(tally.source.license or rules.license for tally in tallies),
@@ -222,6 +240,7 @@ def _header(
                 "clip_actions": rules.clip_actions,
                 "hide_goal": rules.hide_goal,
                 "sources": [tally.record() for tally in tallies],
+                **({"seeds": seeds} if seeds else {}),
             },
         },
         observation_size=family.observation_size, action_size=family.action_size,

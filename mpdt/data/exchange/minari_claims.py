@@ -20,8 +20,9 @@ from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.exchange.claims import Said
 from mpdt.data.exchange.manifest import KEY
 from mpdt.data.exchange.treatment import Rules
+from mpdt.data.spec.recorded import problem
 from mpdt.data.spec.tasks import FAMILIES, Family
-from mpdt.errors import FormatError
+from mpdt.errors import FormatError, UsageError
 from mpdt.reading import decode_json
 
 _VERSION = re.compile(r"-v\d+$")
@@ -59,6 +60,38 @@ def goal_of(attributes: h5py.AttributeManager, where: str) -> NDArray[np.float64
         raise FormatError("a goal that is none", where=where, expected="finite numbers",
                           found=f"{goal.dtype} of shape {goal.shape}")  # fmt: skip
     return goal.astype(np.float64)
+
+
+def seed_of(attributes: h5py.AttributeManager) -> int | None:
+    """Of the reset; None where none is told, or where options of the reset were."""
+    value = attributes.get("seed")
+    if any(name.startswith("options") for name in attributes):
+        return None
+    is_seed = isinstance(value, np.integer) and value >= 0
+    return int(value) if is_seed else None
+
+
+def environment_in(metadata: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """The environment that a set records: `id`, `arguments`, `limit` in steps or None.
+
+    Raises: UsageError for one that is not made, with the reason.
+    """
+    try:
+        spec = decode_json(metadata["env_spec"])
+        id, arguments, limit = spec["id"], spec.get("kwargs", {}), spec.get("max_episode_steps")
+        wrappers = spec.get("additional_wrappers") or []
+    except (TypeError, ValueError, KeyError, AttributeError) as error:
+        raise UsageError("the set records no environment", where=where, hint="leave out --env"
+                         ) from error  # fmt: skip
+    said = problem(id, arguments)
+    if wrappers and not said:
+        said = "it is wrapped, and the code of wrappers is not taken from data"
+    if said:
+        raise UsageError("the environment it records is not made", where=where, found=said,
+                         hint="leave out --env, or write a module of your own that makes it and "
+                         "name it under `families` in datasets.yaml")  # fmt: skip
+    return {"id": id, "arguments": dict(arguments),
+            "limit": limit if type(limit) is int and limit > 0 else None}  # fmt: skip
 
 
 def _in_id(name: Any) -> Said:

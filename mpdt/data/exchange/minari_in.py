@@ -24,7 +24,7 @@ from mpdt.data.exchange.foreign import Source, quality_code
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.manifest import KEY, Manifest
 from mpdt.data.exchange.minari import MAIN, STEPS
-from mpdt.data.exchange.minari_claims import goal_of, said_in, said_of_episode
+from mpdt.data.exchange.minari_claims import goal_of, said_in, said_of_episode, seed_of
 from mpdt.data.exchange.treatment import RawEpisode, Rules, check_length
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.errors import DataError, FormatError, ShapeError, UsageError
@@ -97,7 +97,8 @@ def foreign_episodes(
                 check_length(shape[0], rules, where)
             steps = {name: hdf5.array(group, name, where, rows) for name in STEPS}
             yield RawEpisode(**steps, successes=_successes(group, where, rows[1]),
-                             goal=goal_of(group.attrs, where))  # fmt: skip
+                             goal=goal_of(group.attrs, where),
+                             seed=seed_of(group.attrs))  # fmt: skip
 
 
 def _successes(group: h5py.Group, where: str, rows: int) -> Any:

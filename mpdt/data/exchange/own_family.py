@@ -4,7 +4,8 @@
     lerobot   every tree                           npz    every .npz with the flat arrays of d4rl
 
 Sizes, bounds and the longest episode are what the data have; references are means of its random and
-expert episodes, of source `data`. Everything is read twice before anything is written.
+expert episodes, of source `data`. Where it was asked for, the environment that Minari sets record
+simulates it (`own_world.py`). Everything is read twice before anything is written.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from mpdt.data.exchange import foreign
 from mpdt.data.exchange.foreign import Source, quality_name
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.own_sources import Asked, Found, find, labels
+from mpdt.data.exchange.own_world import with_world, world_of
 from mpdt.data.exchange.pickle_machine import kind_of
 from mpdt.data.exchange.treatment import RawEpisode, Rules
 from mpdt.data.reference import Reference, References
@@ -59,9 +61,12 @@ def read(paths: Sequence[Path], asked: Asked, name: str) -> Incoming:
             total = float(np.asarray(raw.rewards, np.float64).sum())
             returns.setdefault(label, []).append(total)
     family = _family(asked, seen, returns)
+    if asked.env:
+        world = world_of(found, [task for task, _ in told], seen.longest)
+        family = with_world(family, world, asked.horizon)
     rules = Rules(
         format=asked.format, family=family, horizon=family.horizon, license=asked.license,
-        any_length=set(seen.cut) != {family.horizon},
+        any_length=set(seen.cut) != {family.horizon}, with_seeds=asked.env,
     )  # fmt: skip
     sources = [
         Source(
@@ -74,10 +79,13 @@ def read(paths: Sequence[Path], asked: Asked, name: str) -> Incoming:
         )
         for one, (task, quality) in zip(found, told, strict=True)
     ]
+    simulated = (
+        f"; {family.about}, which simulates it" if asked.env else
+        "; nobody simulates it: no replay, no new sets, no returns of a policy"
+    )  # fmt: skip
     remarks += [
         f"family {family.name}: {len(family.tasks)} tasks, {seen.observations} columns, "
-        f"{seen.actions} actions up to {family.action_high:g}, {family.horizon} steps; nobody "
-        "simulates it: no replay, no new sets, no returns of a policy"
+        f"{seen.actions} actions up to {family.action_high:g}, {family.horizon} steps{simulated}"
     ]
     incoming = foreign.incoming(sources, rules, name, remarks)
     tasks = [

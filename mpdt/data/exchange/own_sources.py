@@ -25,6 +25,7 @@ from mpdt.data.exchange.claims import Said
 from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import quality_code
 from mpdt.data.exchange.minari import MAIN
+from mpdt.data.exchange.minari_claims import environment_in
 from mpdt.data.exchange.treatment import RawEpisode, Rules
 from mpdt.data.spec.family import Family, Task
 from mpdt.data.spec.rules import COLUMN, MOST_STEPS, family_name_problem
@@ -52,6 +53,7 @@ class Asked:
         test: tasks that are only tested on.
         horizon: steps; None = those of the longest episode.
         states: columns of a LeRobot tree that are the observation, side by side.
+        env: simulate by the environment that Minari sets record.
     Raises: UsageError.
     """
 
@@ -64,6 +66,7 @@ class Asked:
     horizon: int | None = None
     license: str = UNKNOWN
     states: tuple[str, ...] = ()
+    env: bool = False
 
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
@@ -81,6 +84,9 @@ class Asked:
                              found=str(self.horizon))  # fmt: skip
         if self.quality is not None:
             quality_code(self.quality)
+        if self.env and self.format != "minari":
+            raise UsageError(f"{self.format} names no environment", where="--env",
+                             expected="Minari sets", hint="leave it out")  # fmt: skip
         if self.format != "lerobot":
             if self.task_from not in TASKS_FROM:
                 raise UsageError(f"{self.format} has no columns that name tasks",
@@ -101,6 +107,7 @@ class Found:
         columns: names of the observation's numbers, where the source has them.
         step_s: seconds per step; 0 = not said.
         notes: what the spec of the new file should say of it.
+        environment: as `environment_in` gives it, where it was asked for.
     """
 
     path: Path
@@ -111,6 +118,7 @@ class Found:
     columns: tuple[str, ...] = ()
     step_s: float = 0.0
     notes: Mapping[str, Any] = field(default_factory=dict)
+    environment: Mapping[str, Any] = field(default_factory=dict)
 
 
 def find(paths: Sequence[Path], asked: Asked) -> tuple[list[Found], list[str]]:
@@ -180,7 +188,9 @@ def _minari(paths: Sequence[Path], asked: Asked) -> tuple[list[Found], list[str]
         metadata = minari_in.read_metadata(folder)
         id = str(metadata.get("dataset_id", "")) or folder.parent.name
         read = partial(minari_in.foreign_episodes, folder, metadata, Said(), draft)
-        found.append(Found(folder / MAIN, id, id.split("/")[-2] if "/" in id else "", read))
+        world = environment_in(metadata, str(folder)) if asked.env else {}
+        group = id.split("/")[-2] if "/" in id else ""
+        found.append(Found(folder / MAIN, id, group, read, environment=world))
     return found, []
 
 

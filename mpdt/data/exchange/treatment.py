@@ -31,6 +31,7 @@ class Rules:
         hide_goal: set the columns to 0 in which this family hides the goal.
         any_length: the format does not say how an episode ended, so one that is cut off before the
             horizon is no mistake.
+        with_seeds: keep the seeds of resets, with which the family's environment begins again.
     Raises: UsageError.
     """
 
@@ -43,6 +44,7 @@ class Rules:
     hide_goal: bool = False
     license: str = "NOASSERTION"
     any_length: bool = False
+    with_seeds: bool = False
 
     def __post_init__(self) -> None:
         if self.horizon < 1:
@@ -61,6 +63,7 @@ class RawEpisode:
         ends: (T,) or (T, 1), one flag for both kinds of end; or None where the file has both.
         terminations, truncations: both, or None where `ends` is given.
         goal: None = the task's own, or unknown.
+        seed: of the reset that began it; None = not said, or the reset was told more.
     """
 
     observations: Any
@@ -71,6 +74,7 @@ class RawEpisode:
     truncations: Any = None
     successes: Any = None
     goal: NDArray[np.float64] | None = None
+    seed: int | None = None
 
 
 @dataclass(frozen=True)

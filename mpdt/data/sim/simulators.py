@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 
 from mpdt.data.sim.batch import BatchEnv
 from mpdt.data.spec.family import Family, Task, resolve
+from mpdt.data.spec.recorded import Recorded, not_registered
 from mpdt.data.spec.tasks import get_family
 from mpdt.errors import MpdtError, SimulatorError, SpecError, UsageError
 
@@ -43,7 +44,7 @@ def make_batch(
         from mpdt.data.sim.vectors import VectorBatch
 
         return VectorBatch(family, tasks, options)
-    if family.env is not None:
+    if family.env is not None and family.simulates:
         from mpdt.data.sim.single import EnvBatch
 
         return EnvBatch(family, tasks, options)
@@ -58,6 +59,8 @@ def not_installed(family: Family) -> MpdtError:
         return error
     except UsageError:
         pass
+    if isinstance(family.env, Recorded) and (missing := family.env.missing()):
+        return not_registered(missing)
     if not family.module:
         return SimulatorError(
             "nobody simulates this family: its data were imported", where=family.name,

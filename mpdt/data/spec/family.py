@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Literal
 
+from mpdt.data.spec.recorded import Recorded
 from mpdt.errors import SimulatorError, unknown_name
 
 Role = Literal["train", "test", "both"]
@@ -174,6 +175,8 @@ class Family:
     @property
     def simulates(self) -> bool:
         """Whether its simulator is here; not where a file alone tells of the family."""
+        if isinstance(self.env, Recorded):
+            return not self.env.missing()
         return not (self.env is None and self.vector is None and self.batch is None)
 
     def task(self, name_or_index: str | int) -> Task:
@@ -240,6 +243,8 @@ def definition(family: Family) -> dict[str, Any]:
         {"name": task.name, "index": task.index, "role": task.role, "goal": list(task.goal)}
         for task in family.tasks
     ]
+    if isinstance(family.env, Recorded):
+        plain["environments"] = family.env.plain()
     text = json.dumps({**plain, "module": ""}, sort_keys=True, allow_nan=False)
     plain["fingerprint"] = hashlib.sha256(text.encode()).hexdigest()
     found: dict[str, Any] = json.loads(json.dumps(plain))  # lists, as a file gives them back
@@ -263,7 +268,8 @@ def own_definition(family: Family) -> dict[str, Any]:
 
 
 def stored_family(plain: Mapping[str, Any]) -> Family:
-    """The family that a file tells of, without a simulator.
+    """The family that a file tells of: without a simulator, or, where an import was asked for it,
+    with the environment that its data name.
 
     Raises: ValueError for what `definition` does not write.
     """
@@ -276,6 +282,10 @@ def stored_family(plain: Mapping[str, Any]) -> Family:
         fields = {key: said[key] for key in PLAIN}
         for key in ("columns", "hidden_columns", "packages"):
             fields[key] = tuple(fields[key])
+        if "environments" in said:
+            fields["env"] = Recorded.of(said["environments"])
+            if {name for name, _, _ in fields["env"].environments} != {one.name for one in tasks}:
+                raise ValueError("environments of other tasks than the family's")
         return Family(tasks=tasks, options=frozenset(said["options"]), **fields)
     except (KeyError, TypeError) as error:
         raise ValueError(f"no definition of a family: {error}") from error

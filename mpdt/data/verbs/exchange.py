@@ -27,7 +27,7 @@ class Import(Options):
       mpdt-data import prompt-dt/ --from promptdt --family cheetah_vel -o vel.h5
       mpdt-data import metaworld_prompts/ --from mtdiff --family ml10 --hide-goal -o ml10-mtdiff.h5
       mpdt-data import my_sets/ --from minari --family-of mine --test far -o mine.h5
-      mpdt-data import tree/ --from lerobot --family-of mine --states observation.state -o mine.h5
+      mpdt-data import tree/ --from lerobot --family-of mine -o mine.h5
     """
 
     sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SRC...")]
@@ -39,8 +39,11 @@ class Import(Options):
     family: Annotated[str | None, arg(metavar="F")] = None
     """Family of the tasks; our own exports know it."""
     family_of: Annotated[str | None, arg(metavar="NAME")] = None
-    """Make a family of their own of the sources (minari, d4rl, npz or lerobot); nobody simulates
-    it."""
+    """Make a family of their own of the sources (minari, d4rl, npz or lerobot); without --env
+    nobody simulates it."""
+    env: bool = False
+    """With --family-of and minari, simulate by the gymnasium environment that the sets record: for
+    replay, references of zero and random, and judging. It is checked first."""
     task_from: Annotated[str, arg(metavar="source|folder|COLUMN")] = "source"
     """With --family-of, what names the tasks: files, sets or the texts of a LeRobot tree; the
     folders they are in; or a column of the tree."""
@@ -68,6 +71,10 @@ class Import(Options):
         from mpdt.data.slices.standard import standard_additions
 
         found = self._read()
+        if self.env:
+            from mpdt.data.verify.imported import simulated
+
+            found = simulated(found, self.say)
         header, remarks = with_references(found.header)
         found = replace(found, header=header, remarks=(*found.remarks, *remarks))
         dataset = incoming.store(found, self.output, standard_additions)
@@ -94,8 +101,8 @@ class Import(Options):
         from mpdt.errors import UsageError
 
         if self.family_of is None:
-            if self.test or self.states or self.task_from != "source":
-                raise UsageError("--test, --states and --task-from are of a family of its own",
+            if self.test or self.states or self.env or self.task_from != "source":
+                raise UsageError("--test, --states, --env, --task-from are of a family of its own",
                                  hint="add --family-of NAME")  # fmt: skip
             return formats.read(self.format, self.sources, self._rules(), self.output.stem)
         if self.family or self.clip_actions or self.hide_goal:
@@ -103,7 +110,7 @@ class Import(Options):
                              where="--family-of", hint="leave them out")  # fmt: skip
         asked = Asked(self.format, self.family_of, self.task_from, self.task, self.quality,
                       split_names(self.test), self.horizon, self.license,
-                      split_names(self.states))  # fmt: skip
+                      split_names(self.states), self.env)  # fmt: skip
         return read(self.sources, asked, self.output.stem)
 
     def _rules(self) -> Rules | None:

@@ -53,7 +53,8 @@ class Amount:
 def chosen(material: Material, amount: Amount) -> list[tuple[str, list[int], list[Episode], int]]:
     """(track, ids, episodes, horizon) of the file's own episodes and of each TTA set.
 
-    Imported episodes never had seeds; in a file that was collected somebody took them away.
+    Of imported episodes those have seeds that an environment of theirs simulates, and nobody may
+    have said a horizon, which is then 0; in a file that was collected somebody took them away.
     """
     data = material.dataset
     tracks = material.tracks()
@@ -71,7 +72,7 @@ def chosen(material: Material, amount: Amount) -> list[tuple[str, list[int], lis
         )
         if not ids:
             continue
-        if track.horizon is None:
+        if track.horizon is None and "import" not in data.spec:
             raise DataError("its spec has no horizon", where=str(material.path))
         if track.label:
             name = track.label.removeprefix("tta ")
@@ -79,7 +80,7 @@ def chosen(material: Material, amount: Amount) -> list[tuple[str, list[int], lis
             episodes = [every[i] for i in ids]
         else:
             episodes = [data.episode(i) for i in ids]
-        found.append((track.label, ids, episodes, track.horizon))
+        found.append((track.label, ids, episodes, track.horizon or 0))
     return found
 
 

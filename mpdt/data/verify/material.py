@@ -125,8 +125,10 @@ class Material:
 
     @property
     def is_imported(self) -> bool:
-        """No episode says who acted in it, or none which seed made it."""
+        """No episode says who acted in it, or none which seed of ours made it."""
         episodes = self.dataset.episodes
+        if "import" in self.dataset.spec:
+            return True
         no_seed = (episodes.seed_key == UNKNOWN_SEED_KEY[0]).all()
         return bool(no_seed or (episodes.quality == -1).all())
 

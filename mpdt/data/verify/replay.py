@@ -32,10 +32,10 @@ from mpdt.data.verify.amount import Amount, chosen
 from mpdt.data.verify.finding import Fault, Finding, Outcome, fault, judge, nothing
 from mpdt.data.verify.material import Material
 from mpdt.data.verify.one_step import with_one_step
+from mpdt.data.verify.seeds import Seeds
 from mpdt.data.workers.processes import map_blocks
 from mpdt.errors import DataError, MpdtError, UsageError, quoted
 from mpdt.pace import Pace
-from mpdt.seeding import UNKNOWN_SEED_KEY, SeedKey
 
 ID = "replay"
 ROWS = 50  # episodes side by side
@@ -80,7 +80,7 @@ class _Player:
     family: Family
     options: dict[str, Any]
     horizon: int
-    seed: int
+    seeds: Seeds
     seconds: float = 0.0
     """Spent on stepping, here."""
     _env: tuple[tuple[int, int], BatchEnv] | None = field(default=None, repr=False)
@@ -90,7 +90,7 @@ class _Player:
         if self._env is None or self._env[0] != wanted:  # building one takes a while
             tasks = [self.family.tasks[some.task]] * len(some.places)
             self._env = wanted, make_batch(self.family, tasks, self.options)
-        keys = [SeedKey(self.seed, *episode.seed_key) for episode in some.episodes]
+        keys = [self.seeds.key(episode) for episode in some.episodes]
         began = time.monotonic()
         play = play_stored(self._env[1], some.episodes, keys)
         self.seconds += time.monotonic() - began
@@ -106,27 +106,25 @@ def replay(
     """Simulate `episodes` of `dataset` again, task by task; results as they come.
 
     Args:
-        horizon: steps after which an episode of these is truncated.
-        seed: the root seed, as the file says it.
+        horizon: steps after which an episode of these is truncated; 0 = nobody said.
+        seed: the root seed, as the file says it; what an import was begun with stands in its spec.
         workers: processes for what would take this one longer than `WORTH_IT_S`; below two none.
             In a script they need `if __name__ == "__main__":`.
     Raises: DataError for episodes without seed; UsageError for a family or goal that cannot be
         simulated; SimulatorError.
     """
     family = dataset.contract()
-    if not isinstance(seed, int):
-        raise DataError("its spec has no seed", where=str(dataset.path))
+    seeds = Seeds.of(dataset, seed)
     by_task: dict[int, list[int]] = {}
     for place, episode in enumerate(episodes):
-        if episode.seed_key == UNKNOWN_SEED_KEY:
-            raise DataError("episodes without a seed cannot be simulated", where=str(dataset.path))
+        seeds.check(episode)
         by_task.setdefault(episode.task, []).append(place)
     waiting = deque(
         _Some(task, tuple(places[i : i + ROWS]), tuple(episodes[p] for p in places[i : i + ROWS]))
         for task, places in sorted(by_task.items())
         for i in range(0, len(places), ROWS)
     )
-    player, steps = _Player(family, dict(dataset.spec.get("env") or {}), horizon, seed), 0
+    player, steps = _Player(family, dict(dataset.spec.get("env") or {}), horizon, seeds), 0
     while waiting:
         left = sum(some.num_steps for some in waiting)
         if workers > 1 and len(waiting) > 1 and left * player.seconds > WORTH_IT_S * steps:
@@ -149,8 +147,9 @@ def _compare(
         "observations": observations,
         "rewards": play.rewards[row, :length].astype(np.float32),
         "terminations": play.terminations[row, :length],
-        "truncations": np.arange(1, length + 1) == horizon,
     }
+    if horizon:
+        found["truncations"] = np.arange(1, length + 1) == horizon
     if episode.successes is not None and play.successes is not None:
         found["successes"] = play.successes[row, :length]
     differing = tuple(
@@ -197,8 +196,9 @@ def check_replay(
     machine = other_versions(data.platform, provenance.machine(), MACHINE[:2])
     excuse = ", ".join(part for part in (_other_family(material), other, machine) if part)
     began, pace = time.monotonic(), Pace()
+    inexact = _is_inexact(material)
     try:
-        for track, ids, episodes, horizon in chosen(material, amount):
+        for track, ids, episodes, horizon in [] if inexact else chosen(material, amount):
             of = f" of {track}" if track else ""
             say(f"replay   {len(ids):,} episodes{of}")
             first = tally.episodes
@@ -223,9 +223,10 @@ def check_replay(
         say(f"replay   {tally.steps:,} steps in {seconds:.1f} s: {tally.steps / seconds:,.0f} "
             "steps/s")  # fmt: skip
     else:
-        bare = nothing(ID, "no episode has a seed" if len(data.episodes) else "no episodes")
+        why = f"{data.family} says exact: false" if inexact else "no episode has a seed"
+        bare = nothing(ID, why if len(data.episodes) else "no episodes")
         if asked and len(data.episodes):
-            text = f"{NOTHING}: no episode has a seed"
+            text = f"{NOTHING}: {why}"
             bare = Finding(ID, Outcome.FAIL, text, hint="--skip replay leaves this check out")
         return with_one_step(bare, material)
     faults = [
@@ -249,6 +250,12 @@ def _seed(data: Dataset, track: str) -> Any:
     """The file's root seed; a set that an import got says its own."""
     rule = data.tta[track.removeprefix("tta ")].rule if track else {}
     return data.spec.get("seed", rule.get("seed"))
+
+
+def _is_inexact(material: Material) -> bool:
+    """Whether a simulator is here of which the family says that no seed decides it."""
+    family = material.family
+    return family is not None and family.simulates and not family.exact
 
 
 def _other_family(material: Material) -> str:

@@ -312,7 +312,7 @@ def test_without_rewards_or_with_words_of_another_format(
     for words, said in (
         (("--from", "npz", "--family-of", "a", "--states", "b"), "npz has one observation"),
         (("--from", "npz", "--family-of", "a", "--task-from", "b"), "no columns that name tasks"),
-        ((*ML10, "--states", "b"), "--states and --task-from are of a family of its own"),
+        ((*ML10, "--states", "b"), "--env, --task-from are of a family of its own"),
     ):
         assert run("import", folder, *words, "-o", "x.h5") == 2
         assert said in capsys.readouterr().err
