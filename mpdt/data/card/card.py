@@ -17,6 +17,7 @@ from mpdt.data.lock.fingerprint import is_as_locked
 from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.data.spec.yamltext import dump_yaml
 from mpdt.data.store.dataset import Dataset
+from mpdt.data.store.provenance import WEIGHTS
 from mpdt.data.verify.finding import Finding, Outcome
 from mpdt.data.verify.verify import Report, summary
 from mpdt.draw.html import render
@@ -110,6 +111,12 @@ def _made(data: Dataset) -> str:
         who = (
             "The experts are Meta-World's scripts (some corrected); medium replaces a share of "
             "their actions by uniform ones, calibrated per task; history goes through all shares"
+        )
+    elif behaviour.get("bundle"):
+        who = (
+            "The experts are one policy of mpdt-train behind a prompt per task (SHA-256 "
+            f"{data.packages.get(WEIGHTS, 'unknown')[:16]}); medium replaces a share of "
+            "its actions by uniform ones, calibrated per task; history goes through all shares"
         )
     else:
         who = (

@@ -198,7 +198,7 @@ def _remedy(plan: Plan, levels: Mapping[str, TaskLevels]) -> str:
             f"datasets.yaml (now random {counts.random}, expert {counts.expert}, and "
             f"{plan.spec.reference} where there are none)"
         )
-    if behaviour.script is not None:
+    if behaviour.network is None:
         return (
             f"mpdt-data calibrate {quoted(name)} measures the mixing rates again, into this "
             "folder; collect then makes only the blocks of new rates again"

@@ -233,15 +233,16 @@ def calibrate(
         for a target that is no calibration file, both before anything is measured; DataError
         at the end, naming the tasks that cannot be calibrated.
     """
-    if spec.behaviour.script is None:
+    if spec.behaviour.network is not None:
         raise SpecError(
-            "nothing to calibrate: only scripted behaviour has a mixing rate",
+            "nothing to calibrate: only a script or a trained policy has a mixing rate",
             where=f"{spec.name}.behaviour",
             hint=f"mpdt-data pretrain {quoted(spec.name)}",
         )
     load_ladder(msgspec.structs.replace(spec, episodes=EpisodeCounts()))  # the script is there
     script, family = Script.of(spec), get_family(spec.family)
-    target = target or local_path(None, family.rates or family.name)
+    rates = family.rates or family.name if script.bundle is None else script.bundle.rates
+    target = target or local_path(None, rates)
     check_target(target)
     names = [task.name for task in spec.resolve_tasks()]
     wanted = [(name, horizon) for name in names for horizon in horizons or (spec.horizon,)]

@@ -7,7 +7,8 @@
     history   every rung in turn                   rung / (rungs - 1)
 
 A network ladder is one training run (network.py). A script has none: a rung there is the
-script with `mix_rate` of its actions replaced by uniform ones, from rate 1 down to rate 0.
+script with `mix_rate` of its actions replaced by uniform ones, from rate 1 down to rate 0. So it is
+with a policy of `mpdt-train` (trained.py).
 
 Used by collect/job.py and portions.py.
 """
@@ -70,37 +71,31 @@ def load_ladder(spec: DatasetSpec, folder: Path | None = None) -> Ladder:
     """
     if spec.behaviour.script is not None:
         return ScriptLadder(spec, folder)
+    if spec.behaviour.bundle:
+        from mpdt.data.sim.trained import BundleLadder  # lazy: it opens the policy
+
+        return BundleLadder(spec, folder)
     from mpdt.data.sim.network import NetworkLadder  # lazy: reads weights, needs safetensors
 
     return NetworkLadder(spec)
 
 
-class ScriptLadder:
-    """A family's script, mixed with uniform actions at calibrated rates.
+class MixedLadder:
+    """An expert mixed with uniform actions at calibrated rates; whoever it is says `_expert`.
 
         rung   0     1     2    ..   R-1      history: rates evenly spaced, for every task
         rate   1   1-1/(R-1)    ..    0       medium: the task's calibrated rate, between two
 
-    Raises: SpecError if the spec asks for `medium` of a task without calibration at its
-        horizon, or for a script that the family does not have.
+    Args:
+        rates: name of the files with its mixing rates.
+        kind: what the expert is, for messages.
+    Raises: SpecError if the spec asks for `medium` of a task without calibration at its horizon.
     """
 
-    weights = ""  # a script has none
+    weights = ""
 
-    def __init__(self, spec: DatasetSpec, folder: Path | None = None) -> None:
-        self._family = get_family(spec.family)
-        assert spec.behaviour.script is not None
-        self._script_name = spec.behaviour.script
-        if self._script_name not in self._family.scripts:
-            raise SpecError(
-                "no such script for this family",
-                where=f"{spec.name}.behaviour.script",
-                expected=", ".join(self._family.scripts)
-                or f"a network: {spec.family} has no script",
-                found=f"{spec.behaviour.script} in {spec.family}",
-            )
-        self._spec = spec
-        rates = self._family.rates or self._family.name
+    def __init__(self, spec: DatasetSpec, rates: str, kind: str, folder: Path | None) -> None:
+        self._family, self._spec, self._kind = get_family(spec.family), spec, kind
         self._calibrations = load_calibrations(folder, rates)
         self._local, self._local_path = load_local(folder, rates), local_path(folder, rates)
         self.num_rungs = spec.behaviour.rungs
@@ -125,9 +120,9 @@ class ScriptLadder:
         if quality == "medium":
             found = self._calibration(task)
             rung = round((1 - found.rate) * last)
-            return self._script(task, found.rate, rung, found.level), found.level
+            return self._expert(task, found.rate, rung, found.level), found.level
         if quality == "expert":
-            return self._script(task, 0.0, last, 1.0), 1.0
+            return self._expert(task, 0.0, last, 1.0), 1.0
         if quality == "history":
             rung = block // HISTORY_STRIDE
             assert 0 <= rung <= last, "the block number of history holds the rung"
@@ -160,11 +155,11 @@ class ScriptLadder:
                 hint=f"mpdt-data calibrate {quoted(self._spec.name)}",
             )
         found = self._calibrations[task.name, horizon]
-        if found.policy not in ("", self._script(task, 0.0, -1, -1.0).info.hash.hex()):
+        if found.policy not in ("", self._expert(task, 0.0, -1, -1.0).info.hash.hex()):
             raise SpecError(
-                f"the mixing rate of '{task.name}' was calibrated with another script",
+                f"the mixing rate of '{task.name}' was calibrated with another {self._kind}",
                 where=self._spec.name,
-                expected="the script this mpdt and this metaworld have",
+                expected=f"the {self._kind} that there is now",
                 found=f"policy {found.policy[:8]}",
                 hint=f"mpdt-data calibrate {quoted(self._spec.name)}",
             )
@@ -185,11 +180,11 @@ class ScriptLadder:
         rate = round(1 - rung / last, 6)
         known = self._calibrations.get((task.name, self._spec.horizon))
         level = known.level_at(rate) if known else -1.0
-        return self._script(task, rate, rung, 1.0 if rung == last else level)
+        return self._expert(task, rate, rung, 1.0 if rung == last else level)
 
-    def _script(self, task: Task, rate: float, rung: int, level: float) -> Policy:
-        noise = self._spec.behaviour.noise
-        return script_policy(self._family, self._script_name, task, rate, rung, level, noise)
+    def _expert(self, task: Task, rate: float, rung: int, level: float) -> Policy:
+        """It with chance `rate` per step a uniform action instead."""
+        raise NotImplementedError
 
     def _uniform(self, task: Task) -> UniformPolicy:
         family = self._family
@@ -198,3 +193,24 @@ class ScriptLadder:
         )
         policy.info = replace(policy.info, mix_rate=1.0)
         return policy
+
+
+class ScriptLadder(MixedLadder):
+    """A family's script. Raises: SpecError also for one that the family does not have."""
+
+    def __init__(self, spec: DatasetSpec, folder: Path | None = None) -> None:
+        family = get_family(spec.family)
+        assert spec.behaviour.script is not None
+        self._script_name = spec.behaviour.script
+        if self._script_name not in family.scripts:
+            raise SpecError(
+                "no such script for this family",
+                where=f"{spec.name}.behaviour.script",
+                expected=", ".join(family.scripts) or f"a network: {spec.family} has no script",
+                found=f"{spec.behaviour.script} in {spec.family}",
+            )
+        super().__init__(spec, family.rates or family.name, "script", folder)
+
+    def _expert(self, task: Task, rate: float, rung: int, level: float) -> Policy:
+        noise = self._spec.behaviour.noise
+        return script_policy(self._family, self._script_name, task, rate, rung, level, noise)

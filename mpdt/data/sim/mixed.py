@@ -104,12 +104,12 @@ class MixedPolicy:
         assert self._coins is not None and self._uniform is not None, "begin() comes first"
         # Asked for every row at every step, so that a row's answer does not depend on the others'
         # coins where a script computes in batches.
-        found = self._answer(step, observations.astype(np.float64))
+        found = self._answer(step, observations.astype(np.float64), rewards)
         if self._noise is not None:
             found = found + self._noise[:, step]
         return np.where(self._coins[:, step, None], self._uniform[:, step], found)
 
-    def _answer(self, step: int, observations: FloatArray) -> FloatArray:
+    def _answer(self, step: int, observations: FloatArray, rewards: Rewards | None) -> FloatArray:
         """Raises: SimulatorError for whatever the script does wrong."""
         where = f"{self._family.module or self._family.name}, script {self._script}, step {step}"
         try:

@@ -22,6 +22,7 @@ from mpdt.data.sim.calibration import Measurement
 from mpdt.data.sim.mixed import script_policy
 from mpdt.data.sim.play import run_block
 from mpdt.data.sim.simulators import make_batch
+from mpdt.data.sim.trained import OpenedBundle, opened_bundle, trained_policy
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.family import Family
 from mpdt.data.spec.tasks import get_family
@@ -40,18 +41,22 @@ class Script:
 
     Args:
         noise: standard deviation of what is added to its actions.
+        bundle: a trained policy that acts in the place of a script.
     """
 
     family: Family
     name: str
     env: Mapping[str, float | bool] = field(default_factory=dict)
     noise: float = 0.0
+    bundle: OpenedBundle | None = None
 
     @classmethod
     def of(cls, spec: DatasetSpec) -> Script:
         """The one that acts in an entry's episodes."""
-        assert spec.behaviour.script is not None
         family = get_family(spec.family)
+        if spec.behaviour.bundle:
+            return cls(family, "", spec.env, spec.behaviour.noise, opened_bundle(spec))
+        assert spec.behaviour.script is not None
         # Where several share their tasks, a calibration does not depend on which of them asks.
         measured = get_family(family.measured_in) if family.measured_in else family
         return cls(measured, spec.behaviour.script, spec.env, spec.behaviour.noise)
@@ -59,6 +64,8 @@ class Script:
     def policy(self, task_name: str, rate: float = 0.0) -> Policy:
         """It acting on a task."""
         task = self.family.task(task_name)
+        if self.bundle is not None:
+            return trained_policy(self.family, self.bundle, task, rate, noise=self.noise)
         return script_policy(self.family, self.name, task, rate, noise=self.noise)
 
 

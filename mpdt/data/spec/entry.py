@@ -16,6 +16,10 @@ from typing import Any, Literal
 
 import msgspec
 
+from mpdt.data.spec.behaviour import Behaviour as Behaviour
+from mpdt.data.spec.behaviour import behaviour_problems
+from mpdt.data.spec.behaviour import is_own_network as is_own_network
+from mpdt.data.spec.behaviour import own_weights as own_weights
 from mpdt.data.spec.goals import GoalSet
 from mpdt.data.spec.tasks import FAMILIES, Family, Role, Task, get_family
 from mpdt.errors import Lines, SpecError, UsageError, nearest
@@ -33,29 +37,6 @@ MOST = {
 """Largest numbers of an entry; `episodes` per task, of a quality or a set."""
 MOST_BLOCKS = 200_000
 """Units of work of one entry. The largest shipped one, ml45_paper, has 13,150."""
-
-
-class Behaviour(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Who acts: a shipped behaviour network or a scripted policy, exactly one of the two.
-
-    Args:
-        network: name of the shipped weights, or the path of one's own without suffix, such as
-            `./weights/cheetah_dir`; what has a slash or begins with a dot is a path.
-        script: one of the family's own, such as `metaworld`.
-        rungs: number of policies on the ladder from untrained to final.
-        noise: standard deviation of the Gaussian added to a network's or an own script's actions,
-            in their unit; Meta-World's scripts have none.
-    """
-
-    network: str | None = None
-    script: str | None = None
-    rungs: int = 20
-    noise: float = 0.0
-
-
-def is_own_network(network: str | None) -> bool:
-    """Whether `behaviour.network` is a path, and not the name of shipped weights."""
-    return network is not None and ("/" in network or network.startswith("."))
 
 
 class EpisodeCounts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -227,13 +208,8 @@ def _num_blocks(spec: DatasetSpec) -> int:
 
 
 def _behaviour_problems(spec: DatasetSpec) -> list[Problem]:
-    behaviour, problems = spec.behaviour, list[Problem]()
-    if (behaviour.network is None) == (behaviour.script is None):
-        problems.append(("behaviour", "needs exactly one of network and script", ""))
-    problems += _range_problems("behaviour.rungs", behaviour.rungs, 2, MOST["rungs"])
-    if not (math.isfinite(behaviour.noise) and behaviour.noise >= 0):
-        problems.append(("behaviour.noise", f"{behaviour.noise} is not a noise", "0 or more"))
-    return problems
+    rungs = _range_problems("behaviour.rungs", spec.behaviour.rungs, 2, MOST["rungs"])
+    return [*behaviour_problems(spec.behaviour), *rungs]
 
 
 def _tta_problems(name: str, rule: TtaRule) -> list[Problem]:

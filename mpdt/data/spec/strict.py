@@ -83,7 +83,7 @@ def _describe(hint: Any) -> str:
     if origin is typing.Literal:
         return " or ".join(map(repr, args))
     if origin is typing.Union or origin is types.UnionType:
-        return " or ".join(_describe(arg) for arg in args)
+        return " or ".join(_describe(arg) for arg in args if arg is not msgspec.UnsetType)
     if origin is tuple:
         return f"a list of {_describe(args[0])}"
     names = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}

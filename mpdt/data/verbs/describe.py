@@ -58,10 +58,14 @@ def _file(data: Dataset) -> dict[str, Any]:
 def _own_weights(data: Dataset) -> dict[str, str] | None:
     """Where the spec found weights that mpdt does not ship, and their SHA-256; else None."""
     behaviour = data.spec.get("behaviour")
-    network = behaviour.get("network") if isinstance(behaviour, Mapping) else None
+    told = behaviour if isinstance(behaviour, Mapping) else {}
+    digest = data.packages.get(provenance.WEIGHTS, "unknown")
+    if isinstance(bundle := told.get("bundle"), str):
+        return {"bundle": bundle, "sha256": digest}
+    network = told.get("network")
     if not isinstance(network, str) or not is_own_network(network):
         return None
-    return {"network": network, "sha256": data.packages.get(provenance.WEIGHTS, "unknown")}
+    return {"network": network, "sha256": digest}
 
 
 def _task(data: Dataset, row: int, ids: Int64) -> dict[str, Any]:
@@ -183,7 +187,10 @@ def header_lines(found: Mapping[str, Any]) -> list[str]:
         f"observation {found['observation_size']}   action {found['action_size']}",
         f"made by  {versions}",
         *(
-            [f"weights  not of mpdt: {own['network']}   SHA-256 {own['sha256'][:16]}"]
+            [
+                f"weights  not of mpdt: {own.get('network') or own['bundle']}   "
+                f"SHA-256 {own['sha256'][:16]}"
+            ]
             if own
             else []
         ),

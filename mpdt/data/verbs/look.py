@@ -58,7 +58,7 @@ class List(Options):
 
 
 def _entry_row(spec: DatasetSpec, path: Path) -> dict[str, Any]:
-    from mpdt.data.spec.entry import is_own_network, spec_hash
+    from mpdt.data.spec.entry import own_weights, spec_hash
 
     row: dict[str, Any] = {
         "name": spec.name,
@@ -66,8 +66,8 @@ def _entry_row(spec: DatasetSpec, path: Path) -> dict[str, Any]:
         "family": spec.family,
         "episodes": "",
     }
-    if is_own_network(spec.behaviour.network):
-        row["weights"] = spec.behaviour.network
+    if path_of_weights := own_weights(spec.behaviour):
+        row["weights"] = path_of_weights
     if not path.exists():
         parts = path.with_name(path.name + ".parts")
         return row | {"state": "unfinished" if parts.is_dir() else "missing", "file": str(path)}

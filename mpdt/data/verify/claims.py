@@ -29,7 +29,7 @@ from mpdt.data.sim.constants import constant_actions
 from mpdt.data.slices.cut import Cut, choose
 from mpdt.data.slices.standard import standard_slices
 from mpdt.data.slices.stats import compute_stats
-from mpdt.data.spec.entry import DatasetSpec, is_own_network
+from mpdt.data.spec.entry import DatasetSpec, own_weights
 from mpdt.data.spec.env import describe_env
 from mpdt.data.store import provenance
 from mpdt.data.store.dataset import Dataset
@@ -164,7 +164,7 @@ def _job(data: Dataset) -> Job | None:
     A file decides nothing that is read beside it: weights that it names by a path are not opened.
     """
     spec = _spec(data) or _imported(data)
-    if spec is None or is_own_network(spec.behaviour.network):
+    if spec is None or own_weights(spec.behaviour):
         return None
     try:
         return make_job(spec)

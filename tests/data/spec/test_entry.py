@@ -102,7 +102,7 @@ def test_smoke_is_small_and_has_another_identity():
         ({"seed": -1}, "tiny.seed", "-1 is too small"),
         ({"block": 0}, "tiny.block", "0 is too small"),
         ({"license": ""}, "tiny.license", "empty"),
-        ({"behaviour": Behaviour()}, "tiny.behaviour", "exactly one of network and script"),
+        ({"behaviour": Behaviour()}, "tiny.behaviour", "exactly one of network, script and bundle"),
         ({"behaviour": Behaviour(network="a", script="b")}, "tiny.behaviour", "exactly one"),
         ({"behaviour": Behaviour(script="a", rungs=1)}, "tiny.behaviour.rungs", "1 is too small"),
         ({"behaviour": Behaviour(script="a", noise=-0.1)}, "tiny.behaviour.noise", "-0.1"),
