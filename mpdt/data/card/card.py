@@ -113,10 +113,11 @@ def _made(data: Dataset) -> str:
             "their actions by uniform ones, calibrated per task; history goes through all shares"
         )
     elif behaviour.get("bundle"):
+        digest = data.packages.get(WEIGHTS, "unknown")[:16]
         who = (
-            "The experts are one policy of mpdt-train behind a prompt per task (SHA-256 "
-            f"{data.packages.get(WEIGHTS, 'unknown')[:16]}); medium replaces a share of "
-            "its actions by uniform ones, calibrated per task; history goes through all shares"
+            f"The experts are one policy of a training (SHA-256 {digest}), which acts behind a "
+            "prompt per task; medium replaces a share of its "
+            "actions by uniform ones, calibrated per task; history goes through all shares"
         )
     else:
         who = (
