@@ -5,7 +5,8 @@
 
 An import has no seeds, so nothing in it can be simulated again. Where the family can set its state
 from an observation, every step is an episode of one. Another version of MuJoCo differs a little, in
-contacts more; another reward or robot stands out.
+contacts more; another reward or robot stands out. Meta-World's state cannot be set so: docs/log.md,
+experiments/metaworld_one_step.py.
 """
 
 from __future__ import annotations
@@ -78,8 +79,14 @@ def differences(dataset: Dataset, most: int = MOST) -> Differences | None:
 
 def with_one_step(bare: Finding, material: Material) -> Finding:
     """A finding that nothing can be replayed, with what one step says where it can be made."""
-    if not material.is_imported or (found := differences(material.dataset)) is None:
+    family = material.family
+    if not material.is_imported or family is None or not len(material.dataset.episodes):
         return bare
+    if (found := differences(material.dataset)) is None:
+        if not family.simulates:
+            return bare
+        return replace(bare, text=f"{bare.text}; nor is one step compared: an observation of "
+                       f"{family.name} does not tell its simulator's state")  # fmt: skip
     text = f"{bare.text}; {found.text()}"
     if not found.reward[0] <= STRANGE * found.spread:
         outcome = Outcome.FAIL if bare.outcome is Outcome.FAIL else Outcome.WARN

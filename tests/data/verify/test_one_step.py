@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -58,6 +59,21 @@ def test_an_import_is_told_of_its_steps(tmp_path: Path, monkeypatch: pytest.Monk
     found = {one.id: one for one in verify(data.path, only=("replay",)).findings}["replay"]
     assert found.outcome.value == "WARN" and "another reward, or another robot" in found.text
     assert differences(data).reward[0] == pytest.approx(9, abs=1e-3)  # type: ignore[union-attr]
+
+
+def test_where_an_observation_does_not_tell_the_state_that_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of Meta-World, whose joints, speeds and mocap body no column has."""
+    data = imported(made("cheetah_dir", tmp_path), tmp_path, "cheetah_dir")
+    family = replace(data.contract(), one_step=None)
+    monkeypatch.setattr(type(data), "contract", lambda self: family)
+    (found,) = verify(data.path, only=("replay",)).findings
+    said = "nor is one step compared: an observation of cheetah_dir does not tell its simulator's"
+    assert found.outcome.value == "NONE" and f"no episode has a seed; {said}" in found.text
+    monkeypatch.setattr(type(data), "contract", lambda self: replace(family, batch=None))
+    (found,) = verify(data.path, only=("replay",)).findings
+    assert found.text.endswith("no episode has a seed")
 
 
 class _Other:
