@@ -32,6 +32,7 @@ LOSSLESS = "TTA sets and named slices"
 # Peer, the program that reads, the format, and what this peer does not carry beyond the format.
 CHECKS = (
     ("Minari", "minari", "minari", ""),
+    ("Minari", "minari", "minari-arrow", ""),
     ("TorchRL", "torchrl", "minari", "goal, seed key, policy and quality of an episode"),
     ("AgileRL", "agilerl", "minari", "goal, seed key, policy and quality of an episode"),
     ("Hugging Face datasets", "datasets", "parquet",
@@ -57,7 +58,7 @@ content `{content_hash}`, {episodes:,} episodes, {steps:,} steps; read on {date}
 
 {table}
 
-"Left out" is what the format or this reader has no place for. minari, parquet and npz are lossless:
+"Left out" is what the format or this reader has no place for. minari, minari-arrow, parquet and npz are lossless:
 `mpdt-data import` gives the same content hash again, which `tests/data/exchange/` checks.
 """
 

@@ -51,7 +51,8 @@ class Source:
         read: its episodes; called twice.
         license: as the source says it; "" = as the rules do.
         name: what the spec of the new file calls it; "" = the file's own name.
-        notes: what else the spec should say about it.
+        notes: what else the spec should say about it; a `sha256` of all its files, where `path`
+            is not all of it.
     """
 
     path: Path

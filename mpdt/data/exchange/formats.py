@@ -11,6 +11,7 @@ from mpdt.data.exchange import (
     lerobot,
     lerobot_in,
     minari,
+    minari_arrow,
     minari_in,
     mtdiff,
     npz,
@@ -43,6 +44,7 @@ class Format:
 
 FORMATS: dict[str, Format] = {
     "minari": Format(minari_in.read, minari.write),
+    "minari-arrow": Format(None, minari_arrow.write),
     "parquet": Format(parquet.read, parquet.write),
     "npz": Format(npz.read, npz.write),
     "d4rl": Format(d4rl.read, d4rl.write, d4rl.LOST),

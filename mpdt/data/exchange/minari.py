@@ -8,7 +8,8 @@ With MINARI_DATASETS_PATH=<folder>, `minari.load_dataset(id)` reads them, and an
 again with `env.reset(seed=metadata["seed"], options=metadata["options"])` in the recovered
 environment. Source: Minari 0.5.4, storage and dataset modules; written with h5py alone, since its
 own writer chunks the feature axis and cannot link (0038). A test has both write the same episodes.
-`minari_in.py` reads sets, ours and those of others.
+`minari_arrow.py` writes the same sets in Minari's other storage; `minari_in.py` reads both, ours
+and those of others.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ def write(selection: Selection, folder: Path, link: bool = False) -> None:
     """
     manifest = Manifest.of(selection).to_json()
     for run in selection.runs():
-        name = _id(selection, run)
+        name = set_id(selection, run)
         place = folder / name / "data"
         place.mkdir(parents=True)
         with hdf5.created(place / MAIN) as file:
@@ -55,13 +56,14 @@ def write(selection: Selection, folder: Path, link: bool = False) -> None:
                 _write_episode(group, selection, i, number, link)
         if link:
             _check_links(place / MAIN, selection, run)
-        metadata = _metadata(selection, run, name) | {KEY: manifest}
+        metadata = metadata_of(selection, run, name) | {KEY: manifest}
         size = sum(path.stat().st_size for path in place.iterdir())
         metadata["dataset_size"] = round(size / 1e6, 1)
         (place / "metadata.json").write_text(json.dumps(metadata), encoding="utf-8")
 
 
-def _id(selection: Selection, run: Run) -> str:
+def set_id(selection: Selection, run: Run) -> str:
+    """What Minari calls the set of one task and quality."""
     family, major = selection.header.family, selection.header.version.partition(".")[0]
     words = (family, run.task.name, f"{quality_name(run.quality)}-v{major}")
     return "/".join(["mpdt", *map(safe, words)])
@@ -88,9 +90,12 @@ def _write_episode(
         at_reset = np.zeros(1, bool)
         infos.create_dataset("success", data=np.concatenate([at_reset, episode.successes]))
     group.attrs["id"], group.attrs["total_steps"] = number, episode.length
-    root = data.spec.get("seed")
-    if isinstance(root, int) and episode.seed_key != UNKNOWN_SEED_KEY:
-        group.attrs["seed"] = SeedKey(root, *episode.seed_key).env_seed()
+    group.attrs.update(attributes_of(selection, i))
+
+
+def attributes_of(selection: Selection, i: int) -> dict[str, Any]:
+    """Seed and options of an episode of the file, as numpy has them: what starts it again."""
+    data, episode = selection.dataset, selection.episode(i)
     options: dict[str, Any] = {
         "task": data.tasks.names[int(data.episodes.task[i])],
         "goal": episode.goal,
@@ -102,7 +107,11 @@ def _write_episode(
     if selection.source_ids is not None:
         place = int(np.searchsorted(selection.ids, i))
         options["source"] = selection.source_ids[place]
-    group.attrs.update({f"options/{key}": value for key, value in options.items()})
+    found = {f"options/{key}": value for key, value in options.items()}
+    root = data.spec.get("seed")
+    if isinstance(root, int) and episode.seed_key != UNKNOWN_SEED_KEY:
+        found["seed"] = SeedKey(root, *episode.seed_key).env_seed()
+    return found
 
 
 def _check_links(path: Path, selection: Selection, run: Run) -> None:
@@ -116,7 +125,7 @@ def _check_links(path: Path, selection: Selection, run: Run) -> None:
                                     hint="export without --link")  # fmt: skip
 
 
-def _metadata(selection: Selection, run: Run, name: str) -> dict[str, Any]:
+def metadata_of(selection: Selection, run: Run, name: str) -> dict[str, Any]:
     data = selection.dataset
     env = describe_env(
         data.spec, data.family, run.task.name, data.definition

@@ -12,7 +12,6 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,14 +43,14 @@ def said_in(metadata: Mapping[str, Any], family: Family, where: str) -> Said:
     return found
 
 
-def said_of_episode(attributes: h5py.AttributeManager, rules: Rules) -> Said:
+def said_of_episode(attributes: Mapping[str, Any], rules: Rules) -> Said:
     """What the attributes of one episode say, but for a quality that is taken back."""
     told = ("task",) if rules.quality == "unknown" else ("task", "quality")
     values = {key: attributes.get(f"options/{key}") for key in told}
     return Said.of(values, "its options")
 
 
-def goal_of(attributes: h5py.AttributeManager, where: str) -> NDArray[np.float64] | None:
+def goal_of(attributes: Mapping[str, Any], where: str) -> NDArray[np.float64] | None:
     """The goal of one of our episodes; None where none is told. Raises: FormatError."""
     if (value := attributes.get("options/goal")) is None:
         return None
@@ -62,13 +61,14 @@ def goal_of(attributes: h5py.AttributeManager, where: str) -> NDArray[np.float64
     return goal.astype(np.float64)
 
 
-def seed_of(attributes: h5py.AttributeManager) -> int | None:
+def seed_of(attributes: Mapping[str, Any]) -> int | None:
     """Of the reset; None where none is told, or where options of the reset were."""
     value = attributes.get("seed")
     if any(name.startswith("options") for name in attributes):
         return None
-    is_seed = isinstance(value, np.integer) and value >= 0
-    return int(value) if is_seed else None
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        return None
+    return int(value) if value >= 0 else None
 
 
 def environment_in(metadata: Mapping[str, Any], where: str) -> dict[str, Any]:

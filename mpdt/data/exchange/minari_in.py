@@ -1,7 +1,7 @@
 """Minari datasets in: sets of ours without loss, sets of others by rules.
 
-Read with h5py, never through the package, which follows links out of a file and makes the
-environment that a file names.
+Read with h5py and pyarrow, never through the package, which follows links out of a file and makes
+the environment that a file names.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from mpdt.data.episode import Episode
-from mpdt.data.exchange import foreign, hdf5
+from mpdt.data.exchange import foreign
 from mpdt.data.exchange.claims import Said
 from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import Source, quality_code
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.manifest import KEY, Manifest
-from mpdt.data.exchange.minari import MAIN, STEPS
+from mpdt.data.exchange.minari import STEPS
 from mpdt.data.exchange.minari_claims import goal_of, said_in, said_of_episode, seed_of
+from mpdt.data.exchange.minari_sets import FORMS, files_of, main_file, notes_of, opened
 from mpdt.data.exchange.treatment import RawEpisode, Rules, check_length
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.errors import DataError, FormatError, ShapeError, UsageError
 from mpdt.reading import decode_json, read_plain, refuse_other
 
-_OF_NAMESPACES = "namespace_metadata.json"
+_METADATA, _OF_NAMESPACES = "metadata.json", "namespace_metadata.json"
 
 
 def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
@@ -38,14 +38,13 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
 
     Raises: UsageError, FormatError, DataError, ShapeError naming set and episode.
     """
-    known = files_below(paths, ".json")
-    sets = [path.parent for path in known if path.name == "metadata.json"]
-    if not sets:
+    found = sets_below(paths)
+    if not found:
         raise UsageError("no Minari dataset there", where=str(paths[0]),
                          expected="a folder with data/metadata.json in it")  # fmt: skip
-    found = {folder: read_metadata(folder) for folder in sets}
-    read = [folder / name for folder in sets for name in (MAIN, "metadata.json")]
-    remarks = left_out(paths, read + [path for path in known if path.name == _OF_NAMESPACES])
+    read = [path for folder, metadata in found.items() for path in files_of(folder, metadata)]
+    named = [path for path in files_below(paths, ".json") if path.name == _OF_NAMESPACES]
+    remarks = left_out(paths, read + named)
     if rules is None and all(KEY in metadata for metadata in found.values()):
         return _read_own(found, remarks)
     rules = foreign.given(rules)
@@ -56,16 +55,23 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
             tasks = ", ".join(task.name for task in rules.family.tasks)
             raise UsageError("of which task?", where="--task", hint=f"one of: {tasks}")
         sources.append(
-            Source(folder / MAIN, rules.family.task(said.task),
+            Source(main_file(folder, metadata), rules.family.task(said.task),
                    quality_code(said.quality or "unknown"),
                    partial(foreign_episodes, folder, metadata, said, rules), said.license,
-                   str(metadata.get("dataset_id", "")))
+                   str(metadata.get("dataset_id", "")), notes_of(folder, metadata))
         )  # fmt: skip
     return foreign.incoming(sources, rules, name, remarks)
 
 
+def sets_below(paths: Sequence[Path]) -> dict[Path, dict[str, Any]]:
+    """The folders of sets, and what their metadata say. Raises: FormatError; StorageError."""
+    known = {path.parent for path in files_below(paths, ".json") if path.name == _METADATA}
+    # In an arrow set every episode has a folder and metadata of its own.
+    return {folder: read_metadata(folder) for folder in sorted(known) if folder.parent not in known}
+
+
 def read_metadata(folder: Path) -> dict[str, Any]:
-    path = folder / "metadata.json"
+    path = folder / _METADATA
     refuse_other(path, "the metadata of a Minari dataset", "text")
     content = read_plain(path)
     try:
@@ -74,9 +80,10 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     except (ValueError, TypeError, KeyError) as error:
         raise FormatError("not the metadata of a Minari dataset", where=str(path),
                           found=f"{type(error).__name__}: {error}"[:120]) from error  # fmt: skip
-    if form != "hdf5" or type(episodes) is not int or type(metadata.get(KEY, "")) is not str:
+    if form not in FORMS or type(episodes) is not int or type(metadata.get(KEY, "")) is not str:
         raise FormatError("another storage format", where=str(path),
-                          expected="data_format hdf5", found=str(form)[:40])  # fmt: skip
+                          expected=f"data_format {' or '.join(FORMS)}",
+                          found=str(form)[:40])  # fmt: skip
     found: dict[str, Any] = metadata
     return found
 
@@ -84,35 +91,17 @@ def read_metadata(folder: Path) -> dict[str, Any]:
 def foreign_episodes(
     folder: Path, metadata: dict[str, Any], said: Said, rules: Rules
 ) -> Iterator[RawEpisode]:
-    path = folder / MAIN
-    rows = (0, rules.horizon + 1)
-    with hdf5.opened(path) as file:
-        _check_count(file, metadata, path)
+    rows = rules.horizon + 1
+    with opened(folder, metadata) as stored:
         for number in range(metadata["total_episodes"]):
-            where = f"{path}: episode {number}"
-            group = hdf5.member(file, f"episode_{number}", where)
-            said.and_also(said_of_episode(group.attrs, rules), where)
-            hdf5.array(group, "rewards", where, (0, 0))  # is it one, and no larger than its file?
-            if shape := group["rewards"].shape:
-                check_length(shape[0], rules, where)
-            steps = {name: hdf5.array(group, name, where, rows) for name in STEPS}
-            yield RawEpisode(**steps, successes=_successes(group, where, rows[1]),
-                             goal=goal_of(group.attrs, where),
-                             seed=seed_of(group.attrs))  # fmt: skip
-
-
-def _successes(group: h5py.Group, where: str, rows: int) -> Any:
-    """Of the steps; infos also have a row for the reset."""
-    if "infos" not in group or "success" not in hdf5.member(group, "infos", where):
-        return None
-    return hdf5.array(group, "infos/success", where, (0, rows))[1:]
-
-
-def _check_count(file: h5py.File, metadata: dict[str, Any], path: Path) -> None:
-    if len(file) != metadata["total_episodes"]:
-        raise FormatError("not the number of episodes in its metadata", where=str(path),
-                          expected=str(metadata["total_episodes"]),
-                          found=str(len(file)))  # fmt: skip
+            episode = stored.episode(number)
+            where, told = episode.where, episode.attributes
+            said.and_also(said_of_episode(told, rules), where)
+            if (length := episode.length()) is not None:
+                check_length(length, rules, where)
+            steps = {name: episode.array(name, rows) for name in STEPS}
+            yield RawEpisode(**steps, successes=episode.successes(rows),
+                             goal=goal_of(told, where), seed=seed_of(told))  # fmt: skip
 
 
 def _read_own(found: dict[Path, dict[str, Any]], remarks: Sequence[str]) -> Incoming:
@@ -139,9 +128,8 @@ def _read_own(found: dict[Path, dict[str, Any]], remarks: Sequence[str]) -> Inco
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError("options of an episode are wrong", where=where,
                           found=f"{type(error).__name__}: {error}"[:120]) from error  # fmt: skip
-    source = EpisodeSource(
-        _own_episodes(entries, manifest, rows), len(entries), manifest.num_steps, sources or None
-    )
+    episodes = _own_episodes(found, entries, manifest, rows)
+    source = EpisodeSource(episodes, len(entries), manifest.num_steps, sources or None)
     return manifest.incoming(source, remarks)
 
 
@@ -149,7 +137,7 @@ def _read_own(found: dict[Path, dict[str, Any]], remarks: Sequence[str]) -> Inco
 class _Entry:
     """One episode of one of our sets."""
 
-    path: Path
+    folder: Path
     number: int
     options: dict[str, Any]
     num_steps: int
@@ -157,34 +145,33 @@ class _Entry:
 
 def _entries(folder: Path, metadata: dict[str, Any], header: FileHeader) -> Iterator[_Entry]:
     """Raises: ShapeError before anything is reserved for arrays of other sizes."""
-    path = folder / MAIN
-    with hdf5.opened(path) as file:
-        _check_count(file, metadata, path)
+    with opened(folder, metadata) as stored:
         for number in range(metadata["total_episodes"]):
-            where = f"{path}: episode {number}"
-            group = hdf5.member(file, f"episode_{number}", where)
-            sizes = [hdf5.array(group, name, where, (0, 0)).shape[1:] for name in STEPS[:3]]
+            episode = stored.episode(number)
+            sizes = [episode.shape(name) for name in STEPS[:3]]
             wanted = [(header.observation_size,), (header.action_size,), ()]
             if sizes != wanted:
-                raise ShapeError("arrays of other sizes than the export says", where=where,
+                raise ShapeError("arrays of other sizes than the export says", where=episode.where,
                                  expected=str(wanted), found=str(sizes))  # fmt: skip
-            options = {k.partition("/")[2]: v for k, v in group.attrs.items() if "options/" in k}
-            yield _Entry(path, number, options, len(group["rewards"]))
+            options = {
+                k.partition("/")[2]: v for k, v in episode.attributes.items() if "options/" in k
+            }
+            yield _Entry(folder, number, options, episode.length() or 0)
 
 
 def _own_episodes(
-    entries: Sequence[_Entry], manifest: Manifest, rows: dict[str, int]
-) -> Iterator[Episode]:
-    for path, some in groupby(entries, lambda entry: entry.path):
-        with hdf5.opened(path) as file:
+    found: dict[Path, dict[str, Any]], entries: Sequence[_Entry], manifest: Manifest,
+    rows: dict[str, int],
+) -> Iterator[Episode]:  # fmt: skip
+    for folder, some in groupby(entries, lambda entry: entry.folder):
+        with opened(folder, found[folder]) as stored:
             for entry in some:
-                where, options = f"{path}: episode {entry.number}", entry.options
-                group = hdf5.member(file, f"episode_{entry.number}", where)
-                rows_read = (0, manifest.num_steps + 1)
-                steps = {name: hdf5.array(group, name, where, rows_read) for name in STEPS}
+                episode, options = stored.episode(entry.number), entry.options
+                rows_read = manifest.num_steps + 1
                 key = [int(number) for number in options["seed_key"]]
                 yield Episode(
-                    **steps, successes=_successes(group, where, rows_read[1]),
+                    **{name: episode.array(name, rows_read) for name in STEPS},
+                    successes=episode.successes(rows_read),
                     task=manifest.header.tasks[rows[options["task"]]].index,
                     goal=np.asarray(options["goal"], np.float64),
                     quality=quality_code(options["quality"]),

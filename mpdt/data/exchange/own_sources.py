@@ -24,8 +24,8 @@ from mpdt.data.exchange import d4rl, flat_npz, hdf5, lerobot_tree, minari_in
 from mpdt.data.exchange.claims import Said
 from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import quality_code
-from mpdt.data.exchange.minari import MAIN
 from mpdt.data.exchange.minari_claims import environment_in
+from mpdt.data.exchange.minari_sets import main_file, notes_of
 from mpdt.data.exchange.treatment import RawEpisode, Rules
 from mpdt.data.spec.family import Family, Task
 from mpdt.data.spec.rules import COLUMN, MOST_STEPS, family_name_problem
@@ -180,17 +180,15 @@ def _of_text(text: str) -> str:
 
 
 def _minari(paths: Sequence[Path], asked: Asked) -> tuple[list[Found], list[str]]:
-    known = files_below(paths, ".json")
-    folders = [path.parent for path in known if path.name == "metadata.json"]
     draft = Rules(asked.format, _draft(asked), asked.horizon or MOST_STEPS, quality="unknown")
     found = []
-    for folder in folders:
-        metadata = minari_in.read_metadata(folder)
+    for folder, metadata in minari_in.sets_below(paths).items():
         id = str(metadata.get("dataset_id", "")) or folder.parent.name
         read = partial(minari_in.foreign_episodes, folder, metadata, Said(), draft)
         world = environment_in(metadata, str(folder)) if asked.env else {}
         group = id.split("/")[-2] if "/" in id else ""
-        found.append(Found(folder / MAIN, id, group, read, environment=world))
+        found.append(Found(main_file(folder, metadata), id, group, read,
+                           notes=notes_of(folder, metadata), environment=world))  # fmt: skip
     return found, []
 
 

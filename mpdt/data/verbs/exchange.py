@@ -144,8 +144,8 @@ class Import(Options):
 class Export(Options):
     """Write a dataset file, or a slice of it, in a format of other libraries.
 
-    minari, parquet and npz lose no episode data: importing them again gives the same content
-    hash. TTA sets and named slices stay behind in all formats.
+    minari, minari-arrow, parquet and npz lose no episode data: importing them again gives the same
+    content hash. TTA sets and named slices stay behind in all formats.
 
     Examples:
       mpdt-data export cheetah_dir.h5 --to minari -o datasets
@@ -155,7 +155,7 @@ class Export(Options):
 
     file: Annotated[Positional[str], arg(metavar="FILE[:SLICE]")]
     format: Annotated[str, arg(name="to", metavar="FMT")]
-    """minari, parquet, npz, lerobot, d4rl, ogbench or promptdt."""
+    """minari, minari-arrow (its other storage), parquet, npz, lerobot, d4rl, ogbench or promptdt."""
     slice: Annotated[str | None, arg(metavar="S")] = None
     """Only this slice; the same as FILE:S."""
     link: bool = False
