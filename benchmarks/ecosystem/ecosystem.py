@@ -58,8 +58,9 @@ content `{content_hash}`, {episodes:,} episodes, {steps:,} steps; read on {date}
 
 {table}
 
-"Left out" is what the format or this reader has no place for. minari, minari-arrow, parquet and npz are lossless:
-`mpdt-data import` gives the same content hash again, which `tests/data/exchange/` checks.
+"Left out" is what the format or this reader has no place for. minari, minari-arrow, parquet and npz
+are lossless: `mpdt-data import` gives the same content hash again, which `tests/data/exchange/`
+checks.
 """
 
 

@@ -155,7 +155,7 @@ class Export(Options):
 
     file: Annotated[Positional[str], arg(metavar="FILE[:SLICE]")]
     format: Annotated[str, arg(name="to", metavar="FMT")]
-    """minari, minari-arrow (its other storage), parquet, npz, lerobot, d4rl, ogbench or promptdt."""
+    """minari (hdf5), minari-arrow, parquet, npz, lerobot, d4rl, ogbench or promptdt."""
     slice: Annotated[str | None, arg(metavar="S")] = None
     """Only this slice; the same as FILE:S."""
     link: bool = False
