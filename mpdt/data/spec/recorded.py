@@ -11,7 +11,6 @@ the user, in MPDT_GYMNASIUM.
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 from collections.abc import Mapping
@@ -32,6 +31,8 @@ PACKAGES = "MPDT_GYMNASIUM"
 _ID = re.compile(r"(?:[A-Za-z0-9][A-Za-z0-9_.-]{0,60}/)?[A-Za-z0-9][A-Za-z0-9_.-]{0,100}")
 _OF_MAKE = ("id", "max_episode_steps", "disable_env_checker")
 _MOST_NUMBERS = 64
+_LARGEST = 1_000_000
+"""A frame skip without end would be stepped without end, where nothing can interrupt it."""
 
 
 def problem(id: Any, arguments: Any) -> str:
@@ -49,8 +50,8 @@ def problem(id: Any, arguments: Any) -> str:
             return f"argument {str(name)[:40]!r} is none of an environment"
         if not _is_plain(value):
             shown = json.dumps(value, default=str)[:60]
-            return (f"argument {name} is {shown}: data choose numbers, true and false, not text, "
-                    "which may be a file or a name of code")  # fmt: skip
+            return (f"argument {name} is {shown}: data choose true, false and numbers up to "
+                    f"{_LARGEST:,}, not text, which may be a file or a name of code")  # fmt: skip
     return ""
 
 
@@ -61,7 +62,7 @@ def _is_plain(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, bool | int) or (isinstance(value, float) and math.isfinite(value))
+    return isinstance(value, bool | int | float) and abs(value) <= _LARGEST  # nan is not
 
 
 @dataclass(frozen=True)

@@ -316,3 +316,20 @@ def test_without_rewards_or_with_words_of_another_format(
     ):
         assert run("import", folder, *words, "-o", "x.h5") == 2
         assert said in capsys.readouterr().err
+
+
+def test_a_tree_of_their_own_writer(imported: Make, capsys: pytest.CaptureFixture[str]) -> None:
+    """By lerobot 0.4.4: `benchmarks/ecosystem/write_lerobot.py`."""
+    folder = Path(__file__).parents[2] / "golden/lerobot"
+    data: Dataset = imported(folder, *OWN, "--task-from", "source")
+    assert "with it the only success of 1" in capsys.readouterr().err
+    assert data.tasks.names == ("Push_the_puck_then_stop", "reach-v3")
+    assert data.contract().columns == ("x [1]", "y [1]", "z [1]", "gripper [1]")
+    assert data.contract().step_s == 1 / 80 and data.episodes.length.tolist() == [3, 4, 5]
+    push, reach = data.episode(0), data.episode(2)
+    assert push.observations[:, 0].tolist() == [100, 110, 120, 130]
+    assert reach.observations[1].tolist() == [210, 211, 212, 213]
+    assert reach.actions[:, 3].tolist() == [0, 0.125, 0.25, 0.375, 0.5]
+    assert reach.rewards.tolist() == [0, 1, 2, 3, 4]
+    assert reach.successes is not None and reach.successes.tolist() == [False] * 3 + [True] * 2
+    assert data.episodes.success.tolist() == [False, True, True]

@@ -170,6 +170,7 @@ def test_another_gravity_than_the_data_is_found(sets: Path, tmp_path: Path, impo
         ({"id": None}, "the set records no environment"),
         ({"kwargs": {"xml_file": "/etc/passwd"}}, "argument xml_file is"),
         ({"kwargs": {"g": {"a": 1}}}, "argument g is"),
+        ({"kwargs": {"g": 1e7}}, "numbers up to 1,000,000"),
         ({"kwargs": {"max_episode_steps": 3}}, "is none of an environment"),
         ({"kwargs": {"weight": 3}}, "the environment cannot be made"),
         ({"additional_wrappers": [{"name": "x", "entry_point": "os:system", "kwargs": {}}]},
