@@ -162,7 +162,8 @@ def test_metadata_that_is_none(
     metadata = json.loads(file.read_text())
     cases: list[tuple[object, str]] = [
         (metadata | {"total_episodes": 3}, "expected 3, found 2"),
-        (metadata | {"data_format": "arrow"}, "expected data_format hdf5, found arrow"),
+        (metadata | {"data_format": "zarr"}, "expected data_format hdf5 or arrow, found zarr"),
+        (metadata | {"data_format": "arrow"}, "expected 2, found 0"),
         (metadata | {"mpdt": {}}, "another storage format"),
         ([], "not the metadata of a Minari dataset"),
     ]
