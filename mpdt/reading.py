@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -108,10 +109,12 @@ def read_plain(path: Path, limit: int = TEXT_BYTES) -> bytes:
     return content
 
 
-def decode_json(text: str | bytes) -> Any:
+def decode_json(text: str | bytes, wide: Collection[str] = ()) -> Any:
     """JSON as its standard has it: no NaN, no number that is none, no half of a character; and
     no whole number that no array has room for.
 
+    Args:
+        wide: names in an object at the top whose numbers may be larger, such as seeds.
     Raises: ValueError, also for what is nested deeper than `MAX_NESTING`.
     """
     try:
@@ -119,6 +122,8 @@ def decode_json(text: str | bytes) -> Any:
     except RecursionError as error:
         raise ValueError(f"nested deeper than {MAX_NESTING}") from error
     layer = [value]
+    if wide and isinstance(value, dict):
+        layer = [{key: one for key, one in value.items() if key not in wide}]
     for _ in range(MAX_NESTING):
         if any(isinstance(one, int) and one.bit_length() > 63 for one in layer):
             raise ValueError("a whole number of more than 64 bits")
@@ -131,14 +136,16 @@ def decode_json(text: str | bytes) -> Any:
     raise ValueError(f"nested deeper than {MAX_NESTING}")
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path, wide: Collection[str] = ()) -> dict[str, Any]:
     """The object in a file of JSON.
 
+    Args:
+        wide: as of `decode_json`.
     Raises: MissingFileError; FormatError for anything else; StorageError.
     """
     content = read_plain(path)
     try:
-        value = decode_json(content)
+        value = decode_json(content, wide)
     except ValueError as error:
         raise FormatError("not JSON", where=str(path), found=str(error)[:120],
                           hint=_ANOTHER) from error  # fmt: skip

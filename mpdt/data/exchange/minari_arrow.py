@@ -113,7 +113,7 @@ class ArrowSet:
         where = f"{self.folder}: episode {number}"
         if place.name not in self._numbers:
             raise FormatError(f"no episode {number}", where=str(self.folder))
-        said = read_json(place / "metadata.json")
+        said = read_json(place / "metadata.json", wide=("seed",))  # Minari draws 64 bits
         options = said.get("options") or {}
         if not isinstance(options, dict):
             raise FormatError("options of an episode are wrong", where=where,

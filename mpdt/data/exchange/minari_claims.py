@@ -68,7 +68,7 @@ def seed_of(attributes: Mapping[str, Any]) -> int | None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         return None
-    return int(value) if value >= 0 else None
+    return int(value) if 0 <= value < 2**64 else None
 
 
 def environment_in(metadata: Mapping[str, Any], where: str) -> dict[str, Any]:

@@ -49,12 +49,12 @@ def simulated(incoming: Incoming, say: Callable[[str], None]) -> Incoming:
         )
     elif "seeds" not in incoming.header.spec["import"]:
         remarks.append("no replay: not every episode says the seed alone that it began with")
-    say(f"measuring zero and random, {EPISODES} episodes each, {len(family.tasks)} tasks")
-    tasks = [
-        replace(row, references=References(
-            {**row.references.by_name, **_measured(family, family.task(row.name))}))
-        for row in incoming.header.tasks
-    ]  # fmt: skip
+    tasks = []
+    for number, row in enumerate(incoming.header.tasks, 1):
+        say(f"measuring zero and random, {EPISODES} episodes each   {number}/{len(family.tasks)} "
+            f"tasks: {row.name}")  # fmt: skip
+        known = {**row.references.by_name, **_measured(family, family.task(row.name))}
+        tasks.append(replace(row, references=References(known)))
     header = replace(incoming.header, tasks=tasks, definition=own_definition(family))
     return replace(incoming, header=header, remarks=tuple(remarks))
 

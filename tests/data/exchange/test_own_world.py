@@ -134,6 +134,33 @@ def test_the_recorded_environment_simulates(
     assert outcomes(mpdt.open("one.h5"))["replay"].text.startswith("2 episodes, 24 steps byte")
 
 
+def test_sets_of_arrow_files_too(sets: Path, tmp_path: Path, imported: Make) -> None:
+    """With a seed of all 64 bits, which no other whole number in JSON may have."""
+    import minari
+    from minari.data_collector import EpisodeBuffer
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("warnings.warn", lambda *args, **more: None)
+        patch.setenv("MINARI_DATASETS_PATH", str(sets))
+        known = minari.load_dataset("swing/heavy-random-v0")
+        buffers = [
+            EpisodeBuffer(
+                seed=seed, observations=one.observations, actions=one.actions,
+                rewards=list(one.rewards), terminations=list(one.terminations),
+                truncations=list(one.truncations),
+            )
+            for seed, one in zip(SEEDS["heavy"], known.iterate_episodes(), strict=True)
+        ]  # fmt: skip
+        patch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "arrow"))
+        env = gymnasium.make("Pendulum-v1", g=9.0, max_episode_steps=STEPS)
+        minari.create_dataset_from_buffers(
+            "swing/heavy-random-v0", buffers, env=env, algorithm_name="uniform", author="x",
+            author_email="x", code_permalink="x", description="x", data_format="arrow",
+        )  # fmt: skip
+    data: Dataset = imported(tmp_path / "arrow", *WORDS)
+    assert outcomes(data)["replay"].text.startswith("2 episodes, 24 steps byte-equal")
+
+
 def test_without_asking_all_stays_as_it_was(sets: Path, imported: Make) -> None:
     data: Dataset = imported(sets, *WORDS[:-1])
     assert not data.contract().simulates and "environments" not in data.definition
