@@ -51,7 +51,8 @@ class Episode:
         quality: a `mpdt.seeding.Quality` code, -1 unknown.
         progress: place of the acting rung, 0 untrained to 1 final; -1 unknown.
         policy: 32-byte hash of the acting policy.
-        seed_key: (family, task, quality, block, row); 4294967295 = unknown.
+        seed_key: (family, task, quality, block, row); 4294967295 = unknown. With the quality
+            RECORDED block and row say where in the spec the seed stands.
 
     Exactly the last row has an end flag; both flags may be set there.
 

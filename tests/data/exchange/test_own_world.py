@@ -129,7 +129,10 @@ def test_the_recorded_environment_simulates(
     assert abs(judged.returns.mean() - references["zero"].mean) < 4 * error
     assert main(["tta", str(data.path)]) == 1
     assert "nothing more is made of a family that an import made" in capsys.readouterr().err
-    # Cut-outs keep the seeds of their episodes.
+    # Cut-outs and lossless exports keep the seeds of their episodes.
+    assert main(["export", str(data.path), "--to", "npz", "-o", "out"]) == 0
+    assert main(["import", "out", "--from", "npz", "-o", "back.h5"]) == 0
+    assert outcomes(mpdt.open("back.h5"))["replay"].text.startswith("4 episodes, 48 steps byte")
     assert main(["split", str(data.path), "--tasks", "swing-light", "-o", "one.h5"]) == 0
     assert outcomes(mpdt.open("one.h5"))["replay"].text.startswith("2 episodes, 24 steps byte")
 
