@@ -13,6 +13,7 @@ from mpdt.errors import MpdtError, RemoteError, UsageError
 
 # Of webdav4 and asyncssh, which need not be installed.
 _ABSENT = {"ResourceNotFound", "SFTPNoSuchFile", "SFTPNoSuchPath"}
+_LOCKED = "a key with a passphrase is used through ssh-agent alone, or FSSPEC_SFTP_PASSPHRASE"
 
 
 class RefusedError(RemoteError):
@@ -67,8 +68,13 @@ def refusal(address: str, words: str, error: Exception) -> MpdtError:
         or objects.is_denied(error)
         or {status_of(error), status_of(error.__cause__)} & {401, 403}
     ):
+        locked = address.startswith(("sftp:", "ssh:"))
         return RefusedError("no permission", where=address, found=words,
                             hint="credentials come from the library's own places, see "
-                                 "docs/remote.md")  # fmt: skip
+                                 "docs/remote.md" + f"; {_LOCKED}" * locked)  # fmt: skip
+    if name == "SFTPFailure":
+        return RemoteError("the server says that it failed", where=address, found=words,
+                           hint="it may have no room; with room the same command goes on "
+                                "from here")  # fmt: skip
     return RemoteError("cannot be reached, or the connection broke", where=address, found=words,
                        hint="the same command goes on from here")  # fmt: skip

@@ -14,7 +14,7 @@ from importlib import import_module
 from itertools import count
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 import fsspec
 from fsspec.registry import known_implementations
@@ -93,7 +93,9 @@ class Place:
                 self.fs, self.path = objects.connect(self._url, self.address)
                 return
             if self.protocol in _SECURE_SHELL:
-                import_module("mpdt.data.remote.secure_shell")  # fsspec takes it from then on
+                secure_shell = import_module("mpdt.data.remote.secure_shell")  # needs sshfs
+                self.fs, self.path = secure_shell.connect(self._url)
+                return
             self.fs, self.path = fsspec.url_to_fs(self._url, **options)
 
     def info(self, path: str) -> dict[str, Any] | None:
@@ -220,6 +222,10 @@ class Place:
             if self.is_folder:
                 write_bytes(Path(path), content, amends=True)
                 return
+            if self.protocol in _SECURE_SHELL:  # its pipe_file cannot write to the root
+                with self.fs.open(path, "wb") as file:
+                    file.write(content)
+                return
             self.fs.pipe_file(path, content)
 
     def rename(self, old: str, new: str) -> None:
@@ -276,11 +282,16 @@ def _check(url: str, address: str) -> None:
     try:
         parts = urlsplit(url)
         host, _ = parts.hostname or "", parts.port
+        mark = next((mark for mark in "?#" if mark in url), "")
     except ValueError:  # brackets, or a port that is no number
-        host = ""
+        host = mark = ""
     needs_host = protocol.lower() in _WITH_HOST
     if not rest.startswith("/") or (needs_host and not _HOST.fullmatch(host)):
         raise UsageError("not a URL", where=address,
                          expected="PROTOCOL://HOST/PATH, such as sftp://host/data/x.h5",
                          hint="marks in a user or password are escaped: %40 for @, %23 for "
                               "#" if "@" in url else "")  # fmt: skip
+    if mark and protocol.lower() in _SECURE_SHELL:
+        raise UsageError(f"a path of SFTP with a {mark}, which ends a path in a URL", where=address,
+                         hint="choose a name without it; in a password it is "
+                              f"{quote(mark)}")  # fmt: skip

@@ -319,6 +319,7 @@ def test_passwords_appear_nowhere(
         (("pull", "https://ho st/x.h5"), 2, "not a URL"),
         (("pull", "sftp://host:port/x.h5"), 2, "PROTOCOL://HOST/PATH"),
         (("pull", "webdav://ann:p#w@host/x.h5"), 2, "%23 for #"),
+        (("pull", "sftp://host/a?b/x.h5"), 2, "a path of SFTP with a ?"),
     ],
 )
 def test_mistakes_are_one_clear_error(
