@@ -55,7 +55,8 @@ def ways(number: int, folder: Path) -> dict[str, Callable[[], Any]]:
         job, blocks = blocks_of(quality)
         runners = {task: BlockRunner(job, parts) for task in blocks}  # each keeps its simulator
         for task, runner in runners.items():
-            runner._batch(blocks[task][0], sum(block.rows for block in blocks[task]))
+            rows = sum(block.rows for block in blocks[task])
+            runner._batch(blocks[task][0], rows)._group(task)  # builds the simulator, 0.15 s
         calls = 0
 
         def run(actor: str = actor, blocks: Any = blocks, runners: Any = runners) -> int:

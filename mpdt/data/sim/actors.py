@@ -83,6 +83,18 @@ class OpenLoopPolicy(Policy, Protocol):
         ...
 
 
+@runtime_checkable
+class JoiningPolicy(Policy, Protocol):
+    """A policy that answers for several of its kind at once what each would answer alone."""
+
+    @staticmethod
+    def act_all(
+        step: int, policies: Sequence[Any], observations: Sequence[Observations]
+    ) -> list[FloatArray]:
+        """By policy, the actions (B, A) of `act`."""
+        ...
+
+
 def definition_hash(definition: dict[str, object]) -> bytes:
     """SHA-256 (32 bytes) of the canonical JSON that defines a policy without weights."""
     return hashlib.sha256(canonical_json(definition)).digest()

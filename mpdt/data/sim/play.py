@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mpdt.data.episode import Episode
-from mpdt.data.sim.actors import OpenLoopPolicy, Policy, Rows
+from mpdt.data.sim.actors import JoiningPolicy, OpenLoopPolicy, Policy, Rows
 from mpdt.data.sim.batch import BatchEnv, Play, PlaysAhead, Rolled, roll_out
 from mpdt.errors import DataError
 from mpdt.seeding import SeedKey
@@ -214,21 +214,33 @@ def run_blocks(
 
     def filled(rows: FloatArray) -> FloatArray:
         padding = max(0, (width or 0) - len(rows))
-        return np.concatenate([rows, np.repeat(rows[:1], padding, axis=0)])
+        return np.concatenate([rows, np.repeat(rows[:1], padding, axis=0)]) if padding else rows
 
     only = blocks[0].policy
     if len(blocks) == 1 and isinstance(only, OpenLoopPolicy) and isinstance(env, PlaysAhead):
         actions = stored(blocks[0], only.all_actions())
         record.add_play(actions, env.play(actions))
     else:
+        joint = {
+            n: block.policy for n, block in enumerate(blocks)
+            if isinstance(block.policy, JoiningPolicy)
+        }  # fmt: skip
 
         def choose(
             step: int, seen: FloatArray, rewards: FloatArray | None, running: BoolArray
         ) -> Float32Array:
+            shown = [filled(seen[rows]) for rows in parts]
+            answers: dict[int, npt.NDArray[np.floating[Any]]] = {}
+            if len(joint) > 1:
+                asked = list(joint.values())
+                found = asked[0].act_all(step, asked, [shown[n] for n in joint])
+                answers = dict(zip(joint, found, strict=True))
             chosen = []
-            for block, rows in zip(blocks, parts, strict=True):
-                paid = None if rewards is None else filled(rewards[rows])
-                chosen.append(stored(block, block.policy.act(step, filled(seen[rows]), paid)))
+            for number, (block, rows) in enumerate(zip(blocks, parts, strict=True)):
+                if number not in answers:
+                    paid = None if rewards is None else filled(rewards[rows])
+                    answers[number] = block.policy.act(step, shown[number], paid)
+                chosen.append(stored(block, answers[number]))
             return np.concatenate(chosen)
 
         for rolled in roll_out(env, observations, choose, horizon):

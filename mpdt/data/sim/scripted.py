@@ -100,11 +100,34 @@ class ScriptedPolicy:
     def act(
         self, step: int, observations: Observations, rewards: Rewards | None = None
     ) -> FloatArray:
-        assert self._coins is not None and self._uniform is not None, "begin() comes first"
-        actions = self._uniform[:, step].copy()
-        for name, rows in self._rows.items():
-            scripted = rows[~self._coins[rows, step]]
-            if len(scripted):
-                shown = observations[scripted].astype(np.float64, copy=False)
-                actions[scripted] = self._experts[name].act(shown)
-        return actions
+        return self.act_all(step, [self], [observations])[0]
+
+    @staticmethod
+    def act_all(
+        step: int, policies: Sequence[ScriptedPolicy], observations: Sequence[Observations]
+    ) -> list[FloatArray]:
+        """As `act` of each; the expert of a task sees the rows of all of them at once."""
+        found = [policy._drawn(step) for policy in policies]
+        for name in dict.fromkeys(name for policy in policies for name in policy._rows):
+            asked = [(number, policy._scripted(name, step)) for number, policy in
+                     enumerate(policies) if name in policy._rows]  # fmt: skip
+            shown = np.concatenate([observations[number][rows] for number, rows in asked])
+            if len(shown):
+                expert = policies[asked[0][0]]._experts[name]
+                answers = expert.act(shown.astype(np.float64, copy=False))
+                ends = np.cumsum([len(rows) for _, rows in asked])[:-1]
+                for (number, rows), own in zip(asked, np.split(answers, ends), strict=True):
+                    found[number][rows] = own
+        return found
+
+    def _drawn(self, step: int) -> FloatArray:
+        """The uniform actions of a step, (B, 4)."""
+        assert self._uniform is not None, "begin() comes first"
+        return self._uniform[:, step].copy()
+
+    def _scripted(self, name: str, step: int) -> npt.NDArray[np.int64]:
+        """The rows of a task in which the script acts."""
+        assert self._coins is not None, "begin() comes first"
+        rows = self._rows[name]
+        found: npt.NDArray[np.int64] = rows[~self._coins[rows, step]]
+        return found

@@ -140,3 +140,17 @@ def test_rate_outside_the_unit_interval_is_refused(rate):
 def test_unknown_script_names_the_nearest():
     with pytest.raises(UsageError, match="did you mean 'reach'"):
         ScriptedPolicy(["reech"]).begin(Rows(KEYS[:1], GOALS[:1], 5))
+
+
+def test_policies_that_act_at_once_answer_as_each_alone(reach):
+    """Three rates, one of them the script alone, two tasks: the same bytes as one after another."""
+    made = [("reach", 0.0), ("reach", 0.5), ("push", 0.3), ("reach", 1.0)]
+    seen = [np.stack([reach + 0.01 * (n + row) for row in range(3)]) for n in range(len(made))]
+    policies = [ScriptedPolicy([name], rate) for name, rate in made]
+    for policy in policies:
+        policy.begin(Rows(KEYS, GOALS, 20))
+    for step in range(20):
+        found = ScriptedPolicy.act_all(step, policies, seen)
+        for policy, own, actions in zip(policies, seen, found, strict=True):
+            assert actions.tobytes() == policy.act(step, own).tobytes()
+    assert (found[0] != found[1]).any() and (found[0] != found[2]).any()
