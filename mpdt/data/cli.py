@@ -95,7 +95,7 @@ def _answer(argv: Sequence[str] | None) -> int:
         sys.stderr.write(shown.render() + "\n")
         return shown.exit_code
     except Interrupted as stop:
-        again = [word for word in words if word != "--restart"]
+        again = [word for word in words if word not in ("--restart", "--no-resume")]
         hint = visible(f"interrupted; go on with: mpdt-data {shlex.join(again)}")
         sys.stderr.write(hint + "\n")
         return stop.exit_code

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -212,3 +213,12 @@ def stub(**members: object) -> ModuleType:
     module = ModuleType("stub")
     vars(module).update(members)
     return module
+
+
+def test_what_goes_on_does_not_begin_anew(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*words: object, **options: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("mpdt.data.sim.pretrain.pretrain", interrupted)
+    assert code_of("pretrain", "cheetah_dir", "--no-resume", "--seed", "3") == 130
+    assert "go on with: mpdt-data pretrain cheetah_dir --seed 3\n" in capsys.readouterr().err

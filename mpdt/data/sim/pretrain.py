@@ -27,7 +27,8 @@ from mpdt.data.sim.network import network_scene
 from mpdt.data.sim.network_file import load_snapshot
 from mpdt.data.sim.rungs import JUDGED, describe_rungs
 from mpdt.data.spec.family import Family
-from mpdt.data.spec.tasks import FAMILIES, SHIPPED, get_family
+from mpdt.data.spec.own import find_own
+from mpdt.data.spec.tasks import FAMILIES, SHIPPED
 from mpdt.data.spec.training import PretrainSettings, SacSettings, Settings, described, own_settings
 from mpdt.disk import check_replaceable, disk, holding, write_bytes
 from mpdt.errors import SimulatorError, UsageError, unknown_name
@@ -99,11 +100,8 @@ def _trainable(name: str) -> tuple[Family, Settings]:
 
 
 def _own(name: str) -> Family | None:
-    try:
-        family = get_family(name)
-    except UsageError:
-        return None
-    if family.draws_goals:
+    family = FAMILIES.get(name) or find_own(name)
+    if family is not None and family.draws_goals:
         raise UsageError("no network: its goals are drawn per episode", where=name,
                          hint="give it a script")  # fmt: skip
     return family

@@ -91,7 +91,7 @@ _ANY = ("log_std_init", "entropy", "judge_noise")
 _WHOLE = {one.name for kind in ALGORITHMS.values() for one in fields(kind) if one.type == "int"}
 _LEAST = {"num_rungs": 2, "snapshots": 2}
 _MOST = {"steps": 10**12, "rows": 100_000, "hidden": 65_536, "snapshots": 100_000, "threads": 1_024,
-         "tau": 1, "buffer": 10**9}  # fmt: skip
+         "tau": 1, "discount": 1, "gae_lambda": 1, "buffer": 10**9}  # fmt: skip
 
 
 def described(settings: Settings) -> dict[str, Any]:
@@ -126,7 +126,8 @@ def settings_problems(said: object, *, whole: bool = True) -> Iterator[str]:
         yield f"pretrain: settings by name, found {type(said).__name__}"
         return
     algorithm = said.get("algorithm", "ppo" if whole else None)
-    if algorithm is not None and not (isinstance(algorithm, str) and algorithm in ALGORITHMS):
+    is_named = whole or "algorithm" in said
+    if is_named and not (isinstance(algorithm, str) and algorithm in ALGORITHMS):
         near = nearest(str(algorithm), ALGORITHMS)
         known = " or ".join(ALGORITHMS)
         yield f"pretrain: unknown algorithm {algorithm!r} {near}".rstrip() + f", expected {known}"

@@ -152,6 +152,8 @@ def test_an_entry_acts_by_it(
     [
         ({"algorithm": "sacc"}, "unknown algorithm 'sacc' .did you mean 'sac'.*expected ppo or"),
         ({"algorithm": 3}, "pretrain: unknown algorithm 3"),
+        ({"algorithm": None}, "pretrain: unknown algorithm None"),
+        ({"discount": 1.5}, "pretrain: discount is at most 1, found 1.5"),
         ({"algorithm": ["sac"]}, "pretrain: unknown algorithm"),
         ({"epochs": 3}, "pretrain: 'epochs' is a setting of ppo, not of sac"),
         ({"tauu": 3}, "pretrain: unknown key 'tauu' .did you mean 'tau'"),
@@ -189,6 +191,11 @@ def test_an_entry_says_another_algorithm(tmp_path: Path, monkeypatch: pytest.Mon
         get_family("three")
     with pytest.raises(SpecError, match=r"families.four: pretrain: unknown algorithm 'td3'"):
         get_family("four")
+    # `pretrain` says the same, and not that there is no such family.
+    with pytest.raises(SpecError, match=r"families.four: pretrain: unknown algorithm 'td3'"):
+        pretrain("four")
+    with pytest.raises(UsageError, match="unknown behaviour network 'five'"):
+        pretrain("five")
 
 
 def test_what_cannot_be_gone_on_from(tmp_path: Path) -> None:
