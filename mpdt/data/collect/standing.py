@@ -95,6 +95,9 @@ def with_references(header: FileHeader) -> tuple[FileHeader, list[str]]:
     if known or "import" not in header.spec:
         return header, []
     names, horizon = [task.name for task in header.tasks], header.spec.get("horizon")
+    if header.definition:
+        return header, ["references stay unknown: none are on record for a family of one's own; "
+                        "sets that are called random or expert give them"]  # fmt: skip
     if horizon is None:
         return header, ["references stay unknown: nothing says after how many steps episodes end"]
     try:

@@ -236,6 +236,10 @@ def _read_rows(path: Path, wanted: Wanted, file: tuple[int, ...]) -> Rows:
         codes, known = _labels(table[wanted.by])
         for first, end in pairwise(bounds):
             if len(np.unique(codes[first:end])) != 1:
+                if wanted.by != TASK:
+                    raise UsageError(f"episode {numbers[first]} has several tasks",
+                                     where=f"{path}: --task-from", found=wanted.by,
+                                     expected="a column that stays the same in it")  # fmt: skip
                 raise ValueError(f"episode {numbers[first]} has several tasks")
     labels = tuple(known[code] for code in codes[bounds[:-1]].tolist())
     return Rows(columns, tuple(pairwise(bounds)), labels)

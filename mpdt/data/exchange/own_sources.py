@@ -254,6 +254,8 @@ def _check_columns(tree: lerobot_tree.Tree, states: Sequence[str], by: str) -> N
     for name in states:
         if name not in numbers:
             raise unknown_name("column", name, numbers, where=f"{where}: --states")
+    if len(set(states)) != len(states):
+        raise UsageError("a column twice", where=f"{where}: --states", found=",".join(states))
     if by != lerobot_tree.TASK and tree.widths.get(by) != 1:
         singles = [name for name, width in tree.widths.items() if width == 1]
         raise unknown_name("column of one value", by, [*TASKS_FROM, *singles],

@@ -268,7 +268,9 @@ def test_an_only_success_that_is_left_out_is_told(
     folder = tree(tmp_path / "theirs", "v3.0")
     _column("next.success", [False] * 3 + [True] * 2 + [False] * 3 + [True])(folder)
     imported(folder, *OWN)
-    assert "after it; with it the only success of 2" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "after it; with it the only success of 2" in said
+    assert "none are on record for a family of one's own" in said and "datasets.yaml" not in said
 
 
 @pytest.mark.parametrize(
@@ -276,7 +278,8 @@ def test_an_only_success_that_is_left_out_is_told(
     [
         (None, ("--states", "observation.stat"), "unknown column 'observation.stat'"),
         (None, ("--task-from", "action"), "unknown column of one value 'action'"),
-        (None, ("--task-from", "next.success"), "several tasks"),
+        (None, ("--task-from", "next.success"), "expected a column that stays the same in it"),
+        (None, ("--states", "observation.state,observation.state"), "a column twice"),
         (_column("task_index", [7] * 9), (), "task_index 7 has no text"),
         (_column("task_index", ["a"] * 9), (), "task_index a has no text"),
         (_column("episode_index", [*range(9)]), (), "an episode of one row has no step"),
