@@ -84,6 +84,9 @@ class FamilyVecEnv(VecEnv):  # type: ignore[misc]  # untyped base
         return self._inputs()
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Raises: ValueError for actions that are no numbers, before the simulator is blamed."""
+        if not np.isfinite(actions).all():
+            raise ValueError(f"actions {actions[~np.isfinite(actions).all(axis=1)][0].tolist()}")
         self._actions = np.clip(actions, self._family.action_low, self._family.action_high)
 
     def step_wait(self) -> tuple[Any, ...]:
