@@ -5,36 +5,15 @@
 
 Columns are those of public Meta-World sets. Of what it writes, statistics are not kept: mpdt does
 not read them. Two things of lerobot 0.4.4 do not go with newer libraries: torchvision, which it
-imports for images, is an empty module, as in `peers/read_lerobot.py`; and numpy 2.4 makes no number
-of an array of one, so values of one number are unpacked before datasets encodes them.
+imports for images, is left out (`peers/without_torchvision.py`); and numpy 2.4 makes no number of
+an array of one, so values of one number are unpacked before datasets encodes them.
 """
 
-import importlib.machinery
-import os
 import sys
-import types
 
-os.environ["HF_HUB_OFFLINE"] = "1"
-import transformers  # noqa: F401 - asks for torchvision by name, so before it seems to be there
+from peers.without_torchvision import stand_in
 
-
-class Empty(types.ModuleType):
-    """Whatever is imported from it is an empty class."""
-
-    def __getattr__(self, name):
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return type(name, (), {})
-
-
-for name in ("torchvision", "torchvision.transforms", "torchvision.transforms.v2"):
-    module = Empty(name)
-    module.__path__, module.__spec__ = [], importlib.machinery.ModuleSpec(name, None)
-    sys.modules[name] = module
-    parent, _, last = name.rpartition(".")
-    if parent:
-        setattr(sys.modules[parent], last, module)
-
+stand_in()
 import datasets.features.features as features
 import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset

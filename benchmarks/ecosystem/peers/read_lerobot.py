@@ -5,35 +5,14 @@ images, has no build that loads beside PyTorch's CPU wheel here; an empty module
 there are no images.
 """
 
-import importlib.machinery
 import importlib.metadata
 import logging
-import os
 import sys
-import types
 
-os.environ["HF_HUB_OFFLINE"] = "1"
+from without_torchvision import stand_in
+
 logging.disable(logging.WARNING)
-import transformers  # noqa: F401 - asks for torchvision by name, so before it seems to be there
-
-
-class Empty(types.ModuleType):
-    """Whatever is imported from it is an empty class."""
-
-    def __getattr__(self, name):
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return type(name, (), {})
-
-
-for name in ("torchvision", "torchvision.transforms", "torchvision.transforms.v2"):
-    module = Empty(name)
-    module.__path__, module.__spec__ = [], importlib.machinery.ModuleSpec(name, None)
-    sys.modules[name] = module
-    parent, _, last = name.rpartition(".")
-    if parent:
-        setattr(sys.modules[parent], last, module)
-
+stand_in()
 import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 

@@ -1,7 +1,7 @@
 """SFTP through sshfs, for hosts that are known, and asked whether they still answer.
 
 sshfs alone accepts whoever answers, and then sends a password; and it waits for ever for a host
-that fell silent. To import this is to make it what fsspec takes for `sftp` and `ssh`.
+that fell silent.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import asyncssh
-import fsspec
 from sshfs import SSHFileSystem
 from sshfs.file import SSHFile
 
@@ -52,7 +51,7 @@ class SecureShell(SSHFileSystem):  # type: ignore[misc]
         raises.
     """
 
-    protocol = ("sftp", "ssh")
+    protocol = ("sftp", "ssh")  # where its options stand in fsspec's configuration
 
     def __init__(self, host: str, **options: Any) -> None:
         path = Path("~/.ssh/known_hosts").expanduser()
@@ -138,5 +137,3 @@ def _is_news(record: logging.LogRecord) -> bool:
 
 
 logging.getLogger("asyncio").addFilter(_is_news)
-for _protocol in SecureShell.protocol:
-    fsspec.register_implementation(_protocol, SecureShell, clobber=True)

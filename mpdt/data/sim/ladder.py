@@ -15,6 +15,7 @@ Used by collect/job.py and portions.py.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -80,7 +81,7 @@ def load_ladder(spec: DatasetSpec, folder: Path | None = None) -> Ladder:
     return NetworkLadder(spec)
 
 
-class MixedLadder:
+class MixedLadder(ABC):
     """An expert mixed with uniform actions at calibrated rates; whoever it is says `_expert`.
 
         rung   0     1     2    ..   R-1      history: rates evenly spaced, for every task
@@ -182,9 +183,9 @@ class MixedLadder:
         level = known.level_at(rate) if known else -1.0
         return self._expert(task, rate, rung, 1.0 if rung == last else level)
 
+    @abstractmethod
     def _expert(self, task: Task, rate: float, rung: int, level: float) -> Policy:
         """It with chance `rate` per step a uniform action instead."""
-        raise NotImplementedError
 
     def _uniform(self, task: Task) -> UniformPolicy:
         family = self._family
