@@ -99,6 +99,7 @@ _META_WORLD = ("ml10", "mt10", "ml45", "mt50")
 # Cheetah, ant and the first pass: shown, as published (0018 for what Meta-World says of it).
 _SHOWN = {"inputs": {"previous_action": True}}
 _HIDDEN = {"inputs": {"previous_action": False}}
+_ANT_LONG: Mapping[str, Any] = {"multitask": {"steps": 4800}, **_HIDDEN}
 
 
 def _four(
@@ -164,9 +165,11 @@ _ONE_BLOCK: tuple[Cell, ...] = (
       for seed in (1, 2) for method in _THRICE),
     *(_one(data, "MPDT-ones", _LONG, _STARTS, _EXPERT, seed=seed, label="ones-long")
       for seed in (0, 1, 2) for data in ("mt10", "ml10")),
+    *(_one("ml10", "MPDT-ones", _LONG, _STARTS, _EXPERT, seed=seed, label="ones-long")
+      for seed in (3, 4)),
     # Its weights again: few-shot that tunes the map and the head as well.
     *(_one("ml10", "MPDT-ones", _LONG, _ALL_TUNED, _TEST, seed=seed, label="few-shot-all")
-      for seed in (0, 1, 2)),
+      for seed in (0, 1, 2, 3, 4)),
     # What the previous action does to it; Prompt-DT longer, and with no action in its windows and
     # demonstrations.
     *(_one(data, "MPDT-ones", _LONG, _SHOWN, _STARTS, label="ones-long-shown")
@@ -176,8 +179,7 @@ _ONE_BLOCK: tuple[Cell, ...] = (
       for changes, label in (({}, "Prompt-DT-long"), (_HIDDEN, "Prompt-DT-long-no-actions"))),
     *(_method(_VEL, "MPDT-ones", seed, _HIDDEN, label="ones-hidden") for seed in (0, 1, 2)),
     # As long as four blocks took; as on ml10 and mt10 without the previous action.
-    *(_method("ant_dir", "MPDT-ones", seed, {"multitask": {"steps": 4800}}, _HIDDEN,
-              label="ones-long") for seed in (0, 1, 2)),
+    *(_method("ant_dir", "MPDT-ones", seed, _ANT_LONG, label="ones-long") for seed in (0, 1, 2)),
 )  # fmt: skip
 
 _NEAREST = ({"adapt": {"starts": ["infer", "infer_aligned"], "infer": {"tasks": 1}}}, _TEST)
@@ -256,6 +258,8 @@ _FIFTY: tuple[Cell, ...] = (
                              ("length-3", {"length": 3}), ("length-9", {"length": 9}))),
     *(_fifty(data, method, _NOTHING_OR_X)
       for data in ("ml45", "mt50") for method in ("MPDT-WP", "MPDT-WP-frozen")),
+    # As others train on less than expert episodes; judged against the same expert.
+    _fifty("mt50", "MPDT-ones", {"quality": "medium"}, _NOTHING_OR_X, label="ones-medium"),
 )  # fmt: skip
 
 
@@ -264,7 +268,7 @@ def _trials(data: str, row: str, counts: list[int], seed: int, trial_seed: int) 
     adapt = {"starts": ["trials"],
              "trials": {"episodes": counts, "rows": [row], "seed": trial_seed}}  # fmt: skip
     judged = {"evaluation": {"blocks": ["test"], "episodes": 20}}
-    size = {"cheetah_vel": {}, "ml45": _FIFTY_SIZE}.get(data, _LONG)
+    size = {_VEL: {}, "ml45": _FIFTY_SIZE, "ant_dir_endless": _ANT_LONG}.get(data, _LONG)
     return _one(data, "MPDT-ones", size, {"adapt": adapt}, judged, seed=seed,
                 label=f"ones-{row.replace('_', '-')}-t{trial_seed}")  # fmt: skip
 
@@ -275,6 +279,7 @@ _TRIALS: tuple[Cell, ...] = (
     *(_trials("cheetah_vel", "alone", [1, 3, 10], seed, 0) for seed in (0, 1, 2)),
     _trials("ml10", "race", [1, 3, 10], 0, 0),
     *(_trials("ml45", row, [1, 3, 10], 0, 0) for row in ("with_x", "alone")),
+    _trials("ant_dir_endless", "alone", [1, 3, 10], 0, 0),
 )  # fmt: skip
 
 
