@@ -46,7 +46,7 @@ from mpdt.train.run.methods import merge
 from mpdt.train.run.prepare import Prepared, prepare
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.trainer import Trainer
-from mpdt.train.study.plans import get_study
+from mpdt.train.study.plans import STUDIES, get_study
 from mpdt.train.study.study import configure
 
 X_EPISODES = 20
@@ -55,8 +55,9 @@ X_EPISODES = 20
 def train_without(
     data: str, cell: str, left_out: list[str], run: Path
 ) -> tuple[TrainConfig, Trained]:
-    """The cell of the study `one-block` trained without these tasks, which are its test tasks."""
-    (config,) = (configure(one) for one in get_study("one-block") if one.name == cell)
+    """The cell of a study trained without these tasks, which are its test tasks."""
+    config = next(configure(one) for study in STUDIES for one in get_study(study)
+                  if one.name == cell)  # fmt: skip
     config = msgspec.structs.replace(
         config, adapt=msgspec.structs.replace(AdaptSettings(starts=("none",)),
                                               infer=config.adapt.infer))  # fmt: skip

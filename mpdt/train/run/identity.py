@@ -71,6 +71,8 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
             del settings[name]
     if "trials" not in settings["adapt"]["starts"]:  # nor what nobody asked for
         del settings["adapt"]["trials"]
+    elif not settings["adapt"]["trials"]["mean"]:
+        del settings["adapt"]["trials"]["mean"]
     return settings
 
 

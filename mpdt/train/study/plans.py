@@ -167,6 +167,7 @@ _ONE_BLOCK: tuple[Cell, ...] = (
       for seed in (0, 1, 2) for data in ("mt10", "ml10")),
     *(_one("ml10", "MPDT-ones", _LONG, _STARTS, _EXPERT, seed=seed, label="ones-long")
       for seed in (3, 4)),
+    _one("mt10", "MPDT-ones", _LONG, {"multitask": {"steps": 9000}}, _STARTS, label="ones-longer"),
     # Its weights again: few-shot that tunes the map and the head as well.
     *(_one("ml10", "MPDT-ones", _LONG, _ALL_TUNED, _TEST, seed=seed, label="few-shot-all")
       for seed in (0, 1, 2, 3, 4)),
@@ -260,6 +261,9 @@ _FIFTY: tuple[Cell, ...] = (
       for data in ("ml45", "mt50") for method in ("MPDT-WP", "MPDT-WP-frozen")),
     # As others train on less than expert episodes; judged against the same expert.
     _fifty("mt50", "MPDT-ones", {"quality": "medium"}, _NOTHING_OR_X, label="ones-medium"),
+    # Three times the updates.
+    *(_fifty(data, "MPDT-ones", {"multitask": {"steps": 16500}}, _NOTHING_OR_X, label="ones-longer")
+      for data in ("mt50", "ml45")),
 )  # fmt: skip
 
 

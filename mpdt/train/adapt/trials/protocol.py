@@ -161,5 +161,7 @@ def _hash(settings: TrialSettings, row: TrialRow, facts: Sequence[Any]) -> bytes
     """Of all that a row's trials depend on; how many there are is not among it."""
     plain = msgspec.to_builtins(settings)
     del plain["episodes"], plain["rows"]
+    if not plain["mean"]:  # as in trials from before there was a choice
+        del plain["mean"]
     text = json.dumps([plain, row, facts], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).digest()

@@ -2,7 +2,7 @@
 
     opening     trained prompts for some steps, then the planner     (first; base while it is best)
     plan        the planner: refitted world model, echo of the prompts
-    try         a clone acts alone
+    try         a clone acts alone; with `adapt.trials.mean` also the mean prompt, if none succeeded
 
     a success of the planner, or enough of a clone's own     ->  a new clone, tried next
     the best contender stands at 1/2 or better               ->  it is tried again, else planned
@@ -92,6 +92,8 @@ class TaskTrials:
         base = Contender("base" if self._knows else "mean", ground.trained.policy,
                          self._mixed(weights))  # fmt: skip
         contenders = [base]
+        if self._knows and ground.settings.mean:
+            contenders.append(self._mean())
         if race:
             contenders = runners(base.policy, base.prompt, ground.inside.voices)
         self.tried = Tried(contenders, [0], weights, [], [])
@@ -129,9 +131,13 @@ class TaskTrials:
             return "try", next_runner(tried.contenders)
         if not tried.episodes:
             return "open", 0
-        waiting = [i for i, one in enumerate(tried.contenders)
-                   if not (one.retired or one.was_tried(flags))]  # fmt: skip
-        at = waiting[-1] if waiting else best(tried.contenders, flags)
+        at = best(tried.contenders, flags)
+        waiting = [
+            i
+            for i, one in enumerate(tried.contenders)
+            if not (one.retired or one.was_tried(flags)) and self._is_worth(i, at)
+        ]
+        at = waiting[-1] if waiting else at
         plans = sum(act == "plan" for act in tried.acts)
         again = bool(waiting) or 2 * plans >= len(tried.acts)
         if flags:
@@ -140,8 +146,19 @@ class TaskTrials:
             return "plan", None
         return ("open" if at == self._base() else "try"), at
 
+    def _is_worth(self, i: int, leader: int) -> bool:
+        """Trying it: the mean prompt only while no other has succeeded."""
+        one, other = self.tried.contenders[i], self.tried.contenders[leader]
+        return one.name != "mean" or i == leader or not any(other.successes)
+
     def _base(self) -> int:
-        return next(i for i, one in enumerate(self.tried.contenders) if not one.retired)
+        names = [one.name for one in self.tried.contenders]
+        return names.index("base") if "base" in names else 0
+
+    def _mean(self) -> Contender:
+        N = len(self._material.train_rows)
+        return Contender("mean", self._ground.trained.policy,
+                         self._mixed(torch.full((1, N), 1 / N)))  # fmt: skip
 
     def _act(self, kind: str, at: int | None, key: SeedKey) -> Act:
         ground, settings = self._ground, self._ground.settings
@@ -177,7 +194,8 @@ class TaskTrials:
         step = first_success(episode)
         opened = kind == "open" and settings.opening < episode.length
         planned = at is None or (opened and (step is None or step >= settings.opening))
-        if at is not None and (self._race or tried.contenders[at].name != "mean"):
+        toured = kind == "open" and at is not None and tried.contenders[at].name == "mean"
+        if at is not None and not toured:
             one = tried.contenders[at]
             if not opened:
                 one.returns.append(episode.episode_return)
@@ -206,7 +224,7 @@ class TaskTrials:
         weights = np.zeros((1, N), np.float32)
         weights[0, nearest] = convex_fit(outputs[:, nearest], target)
         tried.weights, self._knows = torch.from_numpy(weights), True
-        tried.contenders[0].retired = True
+        tried.contenders[0].retired = not self._ground.settings.mean
         tried.contenders.append(
             Contender("base", self._ground.trained.policy, self._mixed(tried.weights))
         )

@@ -89,6 +89,9 @@ class TrialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """Root of the trials' seeds, a stream apart from evaluation's."""
     opening: int = 200
     """Steps of the first trial that trained prompts act before the planner does."""
+    mean: bool = False
+    """The mean of all training tasks' prompts stays a contender and is tried in an episode of its
+    own. Where there are many training tasks it may be better than what X points at."""
     demonstrations: int = 2
     """Own successes that a clone learns from, the quickest first."""
     clones: int = 4

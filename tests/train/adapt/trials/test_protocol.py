@@ -46,8 +46,8 @@ def trained_with(tiny_file, config):
     return learner.trained(learner.asked)
 
 
-def rows(tiny_file, kept=None, stop_after=None, **trials):
-    """The candidates by name; `stop_after`: trials until a signal."""
+def rows(tiny_file, kept=None, stop_after=None, told=False, **trials):
+    """The candidates by name; `stop_after`: trials until a signal; `told`: what each trial is."""
     config = config_with(**trials)
     begun = []
 
@@ -55,7 +55,7 @@ def rows(tiny_file, kept=None, stop_after=None, **trials):
         if phase.startswith("trials") and "learning" not in text:
             if len(begun) == stop_after:
                 raise KeyboardInterrupt
-            begun.append((phase, done))
+            begun.append((phase, done, text) if told else (phase, done))
 
     candidates = Candidates(trained_with(tiny_file, config), config, on_step, kept=kept)
     return {one.name: one for one in candidates}, begun
@@ -93,6 +93,15 @@ def test_only_the_row_with_x_reads_x(tiny_file, other_rewards_file):
         one, other = (each[f"trials-{name}-2"] for each in found)
         assert all(map(same_episode, one.tried, other.tried)) == same
         assert one.reads == ("X+rewards, trials" if name == "with_x" else "trials")
+
+
+@pytest.mark.parametrize("row", ["with_x", "alone"])
+def test_the_mean_prompt_is_tried_whole_only_where_it_is_asked_for(tiny_file, row):
+    for asked in (False, True):
+        _, begun = rows(tiny_file, told=True, episodes=(4,), rows=(row,), mean=asked, opening=8)
+        forward = [text for phase, _, text in begun if phase.endswith("forward")]
+        assert forward[0] == ("open base" if row == "with_x" else "open mean")
+        assert ("try mean" in forward[1:]) == asked
 
 
 @pytest.mark.parametrize("name", ["ml10", "mt10", "cheetah_vel"])
