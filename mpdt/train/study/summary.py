@@ -83,6 +83,11 @@ def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:
     return [_row(by_method[m], m) for m in [*first, *(m for m in by_method if m not in first)]]
 
 
+def unseen_rows(cells: Sequence[CellResult], data: str) -> dict[str, Row]:
+    """Rows of a data set's unseen tasks by name."""
+    return {row.method: row for row in summarise([c for c in cells if c.data == data], "test")}
+
+
 def best_of_each(rows: Sequence[Row]) -> list[Row]:
     """The references, then of each kind of reading the method that earns most."""
     best: dict[str, Row] = {}

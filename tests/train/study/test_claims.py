@@ -7,19 +7,17 @@ import pytest
 from mpdt.train.adapt.align import LABELS
 from mpdt.train.evaluate.score import MEAN, Score
 from mpdt.train.report.study_tables import report_tables
-from mpdt.train.study import claims
+from mpdt.train.study import goals
 from mpdt.train.study.cells import CellResult
 from mpdt.train.study.claims import (
     CLAIMED_OF,
     CLAIMS,
-    GOALS,
     Claim,
-    Goal,
     claims_table,
-    goals_table,
     judge_claim,
     qualified_verdict,
 )
+from mpdt.train.study.goals import GOALS, Goal, goals_table
 from mpdt.train.study.plans import STUDIES
 from mpdt.train.study.protocols import FEW_SHOT, TRIALS, X_AND_TRIALS
 from mpdt.train.study.study import configure
@@ -58,7 +56,7 @@ def test_a_verdict_says_how_few_seeds_it_has_and_whether_anything_was_learnt():
 def test_claims_name_rows_that_their_study_makes():
     """A renamed one would silently be `not run`. On cheetah_vel there are three seeds of each."""
     seeds = {}
-    for cell in STUDIES[CLAIMED_OF]:
+    for cell in (cell for study in CLAIMED_OF for cell in STUDIES[study]):
         config = configure(cell)
         starts = [LABELS[start] for start in config.adapt.starts if start != "none"]
         decomposed = config.prompts.kind == "decomposed"
@@ -103,7 +101,7 @@ def test_goals_count_only_what_reads_at_most_x_and_rewards(cells):
 def test_a_goal_is_missed_by_any_of_its_parts(cells, monkeypatch):
     for goal in (Goal("mt10", 3701, 0.9, 0.0), Goal("mt10", 3600, 0.93, 0.0),
                  Goal("mt10", 3600, 0.9, 0.0, success=0.96)):  # fmt: skip
-        monkeypatch.setattr(claims, "GOALS", (goal,))
+        monkeypatch.setattr(goals, "GOALS", (goal,))
         assert goals_table(cells).rows[0][1] == "missed"
 
 
@@ -117,7 +115,7 @@ def test_a_cell_that_judges_again_does_not_reach_a_goal_of_training_tasks(cells,
 
 
 def goals_table_of(monkeypatch, cells, goal):
-    monkeypatch.setattr(claims, "GOALS", (goal,))
+    monkeypatch.setattr(goals, "GOALS", (goal,))
     return goals_table(cells).rows
 
 
@@ -134,8 +132,17 @@ def test_a_goal_of_own_episodes_looks_at_its_own_count(cells, monkeypatch):
     assert line[0] == "mt10, X and 3 own episodes" and line[4].startswith("c X and 3")
 
 
+def test_a_goal_of_other_data_looks_at_its_own_cell_and_the_usual_ones_pass_it_by():
+    rows = [row(1, 2, "ones-medium infer"), row(1, 2, "ones-long infer")]
+    rows = [replace(one, reads="X+rewards") for one in rows]
+    usual, medium = Goal("mt50", None), Goal("mt50", None, trained_on=goals.MEDIUM)
+    assert [usual.counts(one) for one in rows] == [False, True]
+    assert [medium.counts(one) for one in rows] == [True, False]
+    assert medium.name == "mt50, medium data"
+
+
 def test_few_shot_goals_look_at_other_rows(cells, monkeypatch):
-    monkeypatch.setattr(claims, "GOALS", (Goal("mt10", 3900, None, None, reads=FEW_SHOT),))
+    monkeypatch.setattr(goals, "GOALS", (Goal("mt10", 3900, None, None, reads=FEW_SHOT),))
     (line,) = goals_table(cells).rows
     assert (
         line[0] == "mt10, few-shot"
@@ -151,7 +158,7 @@ def test_claims_without_rows_are_not_run(cells):
 
 
 def test_a_study_of_these_data_begins_with_its_verdicts(cells):
-    titles = [table.title for table in report_tables(cells, [CLAIMED_OF])]
+    titles = [table.title for table in report_tables(cells, list(CLAIMED_OF))]
     verdicts = ["Goals on unseen tasks", "By protocol, on unseen tasks"]
     assert titles[:4] == [*verdicts, "Claims of the paper, and ours", "mt10: test tasks"]
     titles = [table.title for table in report_tables(cells, ["try"])]
