@@ -26,7 +26,7 @@ from mpdt.errors import UsageError
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.stop import Stopped, StopRequest
 from mpdt.train.study.live import Live
-from mpdt.train.study.plans import Cell
+from mpdt.train.study.recipes import Cell
 from mpdt.train.study.study import Outcome, Places, configure, inspect_cell, run_study
 
 _LOOK_EVERY_S = 1.0

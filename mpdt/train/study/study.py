@@ -34,7 +34,7 @@ from mpdt.train.run.prepare import Prepared, prepare
 from mpdt.train.run.presets import get_preset
 from mpdt.train.run.progress import Progress
 from mpdt.train.study.maps import KEPT, keep_prompts
-from mpdt.train.study.plans import Cell
+from mpdt.train.study.recipes import Cell
 
 State = Literal["done", "to do", "no data", "failed"]
 CURVE_POINTS = 40

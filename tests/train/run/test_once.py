@@ -7,7 +7,7 @@ import pytest
 
 from mpdt.train.run import pipeline, prepare
 from mpdt.train.run.progress import Progress
-from mpdt.train.study.plans import Cell
+from mpdt.train.study.recipes import Cell
 from mpdt.train.study.study import Places, run_study
 
 from .command import QUICK, call

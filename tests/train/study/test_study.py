@@ -14,7 +14,8 @@ from mpdt.train.run.progress import Progress
 from mpdt.train.study import plans as studies
 from mpdt.train.study import study
 from mpdt.train.study.cells import CellResult
-from mpdt.train.study.plans import STUDIES, Cell, get_study
+from mpdt.train.study.plans import STUDIES, get_study
+from mpdt.train.study.recipes import Cell
 from mpdt.train.study.study import Places, configure, encode_cell, inspect_cell, run_study
 from mpdt.train.study.summary import (
     best_of_each,
