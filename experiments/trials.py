@@ -92,7 +92,8 @@ def try_out(
     most, found, cache = max(settings.episodes), {}, SimulatorCache()
     horizon = config.evaluation.horizon or material.horizon
     returns = trained.returns.pooled([family.return_target])
-    ground = Ground(trained, inside, settings, window, horizon, config.adapt.infer.tasks, bytes(32))
+    ground = Ground(trained, inside, settings, window, horizon, config.adapt.infer.tasks, bytes(32),
+                    model if settings.infer == "each" else None)  # fmt: skip
     for place, task in zip(material.test_rows, material.tasks(material.test_rows), strict=True):
         if only and task.name not in only:
             continue

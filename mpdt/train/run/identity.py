@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.ttaset import find_tta_set
+from mpdt.train.adapt.trials.settings import BEFORE_THERE_WAS_A_CHOICE
 from mpdt.train.fit.data import Material
 from mpdt.train.run.config import TrainConfig, from_plain, to_plain
 
@@ -66,14 +67,20 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
     # What plain hardware does belongs to runs from before there was a choice, too.
     if settings["hardware"] == to_plain(TrainConfig())["hardware"]:
         del settings["hardware"]
-    for name, plain in (("began_from", None), ("validation", None), ("patience", 0)):
-        if settings[name] == plain:  # as in runs from before there was a choice
-            del settings[name]
+    # As in runs from before there was a choice.
+    _drop(settings, {"began_from": None, "validation": None, "patience": 0})
     if "trials" not in settings["adapt"]["starts"]:  # nor what nobody asked for
         del settings["adapt"]["trials"]
-    elif not settings["adapt"]["trials"]["mean"]:
-        del settings["adapt"]["trials"]["mean"]
+    else:
+        _drop(settings["adapt"]["trials"], BEFORE_THERE_WAS_A_CHOICE)
     return settings
+
+
+def _drop(settings: dict[str, Any], plain: Mapping[str, Any]) -> None:
+    """What is as it was before it could be chosen."""
+    for name, value in plain.items():
+        if settings[name] == value:
+            del settings[name]
 
 
 def files_of(dataset: Dataset) -> dict[str, Any]:

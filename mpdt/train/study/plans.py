@@ -174,12 +174,12 @@ _FIFTY: tuple[Cell, ...] = (
 
 
 def _trials(
-    data: str, row: str, counts: list[int], seed: int, trial_seed: int, mean: bool = False
+    data: str, row: str, seed: int, trial_seed: int, mean: bool = False, infer: str = "first"
 ) -> Cell:
     """One row of the protocol alone; fresh goals are judged 20 times a task."""
-    adapt = {"starts": ["trials"], "trials": {"episodes": counts, "rows": [row],
-                                              "seed": trial_seed, "mean": mean}}  # fmt: skip
-    name = row.replace("_", "-") + ("-mean" if mean else "")
+    adapt = {"starts": ["trials"], "trials": {"episodes": [1, 3, 10], "rows": [row], "mean": mean,
+                                              "seed": trial_seed, "infer": infer}}  # fmt: skip
+    name = row.replace("_", "-") + ("-mean" if mean else "") + ("-each" if infer == "each" else "")
     judged = {"evaluation": {"blocks": ["test"], "episodes": 20}}
     size = {VEL: {}, "ml45": _FIFTY_SIZE, "ant_dir_endless": ANT_LONG}.get(data, LONG)
     return one(data, "MPDT-ones", size, {"adapt": adapt}, judged, seed=seed,
@@ -187,13 +187,18 @@ def _trials(
 
 
 _TRIALS: tuple[Cell, ...] = (
-    *(_trials("ml10", row, [1, 3, 10], seed, trial_seed)
+    *(_trials("ml10", row, seed, trial_seed)
       for trial_seed in (0, 1, 2) for row in ("with_x", "alone") for seed in (0, 1, 2)),
-    *(_trials("cheetah_vel", "alone", [1, 3, 10], seed, 0) for seed in (0, 1, 2)),
-    _trials("ml10", "race", [1, 3, 10], 0, 0),
-    *(_trials("ml45", row, [1, 3, 10], 0, 0, mean)
-      for mean in (False, True) for row in ("with_x", "alone")),
-    _trials("ant_dir_endless", "alone", [1, 3, 10], 0, 0),
+    *(_trials(VEL, "alone", seed, 0) for seed in (0, 1, 2)),
+    _trials("ml10", "race", 0, 0),
+    *(_trials("ml45", row, 0, 0, mean) for mean in (False, True) for row in ("with_x", "alone")),
+    _trials("ant_dir_endless", "alone", 0, 0),
+    # The task inferred anew after each trial.
+    *(_trials(VEL, "alone", seed, trial_seed, infer="each")
+      for trial_seed in (0, 1, 2) for seed in (0, 1, 2)),
+    *(_trials("ml10", "alone", seed, trial_seed, infer="each")
+      for trial_seed in (0, 1, 2) for seed in (0, 1, 2)),
+    _trials("ml45", "alone", 0, 0, True, "each"),
 )  # fmt: skip
 
 

@@ -31,10 +31,11 @@ from mpdt.train.adapt.align import AdaptationSet, AdaptSettings
 from mpdt.train.adapt.trials.inside import make_inside
 from mpdt.train.adapt.trials.lived import Stretch, stretches_of
 from mpdt.train.adapt.trials.schedule import Ground, TaskTrials
-from mpdt.train.adapt.trials.settings import TrialRow, TrialSettings
+from mpdt.train.adapt.trials.settings import BEFORE_THERE_WAS_A_CHOICE, TrialRow, TrialSettings
 from mpdt.train.adapt.trials.store import TrialStore, Tried
 from mpdt.train.evaluate.controller import PerTaskController, PromptController
 from mpdt.train.evaluate.score import Reads
+from mpdt.train.fit.reward import fit_reward_model, read_training_tasks
 from mpdt.train.fit.trained import Trained
 
 OnStep = Callable[[str, int, int, str], None]
@@ -88,6 +89,12 @@ def trial_results(
     settings, tasks, material = adapt.trials, adapt.infer.tasks, trained.material
     seed = phase_seed(seed, "trials")
     inside = make_inside(trained, settings, window, seed, on_step)
+    rewards = None
+    if settings.infer == "each":
+        rewards = fit_reward_model(
+            read_training_tasks(material), adapt.infer, seed,
+            lambda done, loss: on_step("reward model", done, adapt.infer.steps, f"{loss:.4f}"),
+        )  # fmt: skip
     acting = fingerprint(trained.policy, trained.prompts.task_prompts().detach(), trained.returns,
                          window)  # fmt: skip
     facts = [acting.hex(), horizon, seed, material.dataset.content_hash, adapt.set,
@@ -99,7 +106,7 @@ def trial_results(
             assert x is not None
             known = Known([own[None] for own in inferred()], _shown(x, material.family))
         ground = Ground(trained, inside, settings, window, horizon, tasks,
-                        _hash(settings, row, facts))  # fmt: skip
+                        _hash(settings, row, facts), rewards)  # fmt: skip
         found = _all_trials(ground, row, returns, known, on_step, folder)
         for count in sorted(set(settings.episodes)):
             yield _result(ground, row, count, returns, found)
@@ -161,7 +168,8 @@ def _hash(settings: TrialSettings, row: TrialRow, facts: Sequence[Any]) -> bytes
     """Of all that a row's trials depend on; how many there are is not among it."""
     plain = msgspec.to_builtins(settings)
     del plain["episodes"], plain["rows"]
-    if not plain["mean"]:  # as in trials from before there was a choice
-        del plain["mean"]
+    for name, before in BEFORE_THERE_WAS_A_CHOICE.items():
+        if plain[name] == before:
+            del plain[name]
     text = json.dumps([plain, row, facts], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).digest()

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from mpdt.data.episode import Episode
@@ -26,6 +27,7 @@ from mpdt.data.spec.tasks import Task
 from mpdt.model.prompts import AdaptedPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import SeedKey, Stream
+from mpdt.train.adapt.infer import explain
 from mpdt.train.adapt.trials.acts import by_policy, by_tour, relay
 from mpdt.train.adapt.trials.clone import clone, demonstrations, stretch_of
 from mpdt.train.adapt.trials.contenders import WORTH_TRYING, Contender, best
@@ -37,8 +39,11 @@ from mpdt.train.adapt.trials.race import leader, next_runner, runners
 from mpdt.train.adapt.trials.settings import TrialSettings
 from mpdt.train.adapt.trials.store import TrialStore, Tried
 from mpdt.train.evaluate.controller import PromptController
-from mpdt.train.fit.reward import convex_fit
+from mpdt.train.fit.reward import RewardModel, convex_fit, read_transitions
 from mpdt.train.fit.trained import Trained
+
+SAME_WEIGHTS = 0.02
+"""Mixtures closer than this in every weight are one."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +53,7 @@ class Ground:
     Args:
         window: K of the policy.
         tasks: training tasks that may share the weight, as `adapt.infer.tasks`.
+        rewards: the model that explains trials, where each is asked (`adapt.trials.infer`).
         fingerprint: 32 bytes of what acts; kept with every episode.
     """
 
@@ -58,6 +64,7 @@ class Ground:
     horizon: int
     tasks: int
     fingerprint: bytes
+    rewards: RewardModel | None = None
 
 
 class TaskTrials:
@@ -84,7 +91,7 @@ class TaskTrials:
         material = ground.trained.material
         self._family, self._material = material.family, material
         self._env = make_batch(self._family, [task], material.options)
-        self._knows = weights is not None
+        self._has_x = self._knows = weights is not None
         N = len(material.train_rows)
         self._model = OwnModel(ground.trained, ground.inside, ground.settings, ground.window,
                                returns, list(x))  # fmt: skip
@@ -152,8 +159,8 @@ class TaskTrials:
         return one.name != "mean" or i == leader or not any(other.successes)
 
     def _base(self) -> int:
-        names = [one.name for one in self.tried.contenders]
-        return names.index("base") if "base" in names else 0
+        bases = [i for i, one in enumerate(self.tried.contenders) if one.name == "base"]
+        return bases[-1] if bases else 0
 
     def _mean(self) -> Contender:
         N = len(self._material.train_rows)
@@ -203,7 +210,7 @@ class TaskTrials:
                 one.successes.append(step is not None and not planned)
         if self._race:
             return
-        if not self._knows:
+        if not self._knows or (settings.infer == "each" and not self._has_x):
             self._infer()
         new = step is not None if flags else planned and episode.episode_return > before
         if at is not None and not planned and flags:
@@ -214,20 +221,36 @@ class TaskTrials:
             self._clone(made, key)
 
     def _infer(self) -> None:
-        """Base from the first trial: the mixture of tasks whose reward heads explain it."""
-        tried, N = self.tried, len(self._material.train_rows)
-        steps = Lived([stretch_of(episode) for episode in tried.episodes]).as_steps()
-        outputs = self._ground.inside.world.paid(steps)
-        target = steps.rewards.double().numpy()
-        errors = np.square(outputs - target[:, None]).mean(axis=0)
-        nearest = np.argsort(errors, kind="stable")[: min(self._ground.tasks, N)]
-        weights = np.zeros((1, N), np.float32)
-        weights[0, nearest] = convex_fit(outputs[:, nearest], target)
-        tried.weights, self._knows = torch.from_numpy(weights), True
-        tried.contenders[0].retired = not self._ground.settings.mean
+        """Base from the trials: the mixture of tasks whose rewards explain theirs. It replaces the
+        base before it, unless that has succeeded or is the same."""
+        tried, base = self.tried, self._base()
+        if self._knows and any(tried.contenders[base].successes):
+            return
+        weights = torch.from_numpy(self._explained()[None]).float()
+        if self._knows and torch.allclose(weights, tried.weights, atol=SAME_WEIGHTS):
+            return
+        tried.contenders[base].retired = self._knows or not self._ground.settings.mean
+        tried.weights, self._knows = weights, True
         tried.contenders.append(
             Contender("base", self._ground.trained.policy, self._mixed(tried.weights))
         )
+
+    def _explained(self) -> NDArray[np.float64]:
+        """Weights (N,) of the training tasks."""
+        ground, family = self._ground, self._family
+        lived = Lived([stretch_of(episode) for episode in self.tried.episodes])
+        if ground.rewards is not None:
+            steps = read_transitions(lived, np.arange(len(lived)), lived.steps.rewards,
+                                     family.action_low, family.action_high)  # fmt: skip
+            return explain(ground.rewards, steps, ground.tasks).weights
+        steps = lived.as_steps()
+        outputs = ground.inside.world.paid(steps)
+        target = steps.rewards.double().numpy()
+        errors = np.square(outputs - target[:, None]).mean(axis=0)
+        nearest = np.argsort(errors, kind="stable")[: min(ground.tasks, len(errors))]
+        weights = np.zeros(len(errors))
+        weights[nearest] = convex_fit(outputs[:, nearest], target)
+        return weights
 
     def _mixed(self, weights: Tensor) -> Tensor:
         prompts = AdaptedPrompts(self._ground.trained.prompts, "infer", 1, weights)

@@ -11,6 +11,10 @@ from mpdt.errors import UsageError, check_above_zero, check_at_least
 TrialRow = Literal["alone", "with_x", "race"]
 
 
+BEFORE_THERE_WAS_A_CHOICE = {"mean": False, "infer": "first"}
+"""Settings that runs on record do not name."""
+
+
 class WorldSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The learned world model: an ensemble of small networks."""
 
@@ -89,6 +93,10 @@ class TrialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """Root of the trials' seeds, a stream apart from evaluation's."""
     opening: int = 200
     """Steps of the first trial that trained prompts act before the planner does."""
+    infer: Literal["first", "each"] = "each"
+    """How the row `alone` finds the training tasks that explain what it was paid: after each trial
+    anew, by the reward model of `adapt.infer`; or after the first alone, by the world model's
+    reward heads."""
     mean: bool = False
     """The mean of all training tasks' prompts stays a contender and is tried in an episode of its
     own. Where there are many training tasks it may be better than what X points at."""
