@@ -11,7 +11,10 @@ from mpdt.errors import SpecError
 from mpdt.model.backbone import from_settings
 from mpdt.seeding import Quality, SeedKey
 from mpdt.train.adapt.candidates import Candidates
+from mpdt.train.adapt.infer import explain
+from mpdt.train.adapt.trials import schedule
 from mpdt.train.adapt.trials.live import trial_key
+from mpdt.train.fit.reward import Transitions
 from mpdt.train.run.build import build
 from mpdt.train.run.config import from_plain, to_plain
 from mpdt.train.run.identity import plain_settings
@@ -102,6 +105,34 @@ def test_the_mean_prompt_is_tried_whole_only_where_it_is_asked_for(tiny_file, ro
         forward = [text for phase, _, text in begun if phase.endswith("forward")]
         assert forward[0] == ("open base" if row == "with_x" else "open mean")
         assert ("try mean" in forward[1:]) == asked
+
+
+@pytest.mark.parametrize(("how", "asked"), [("first", []), ("each", [1, 2, 3])])
+def test_all_trials_so_far_are_asked_which_tasks_explain_them(tiny_file, monkeypatch, how, asked):
+    """Every step of them, against a loop; the row with X has been told and asks nothing."""
+    seen = []
+
+    def spy(model, steps, tasks):
+        seen.append(steps)
+        return explain(model, steps, tasks)
+
+    monkeypatch.setattr(schedule, "explain", spy)
+    found, _ = rows(tiny_file, episodes=(3,), rows=("alone", "with_x"), infer=how)
+    episodes = found["trials-alone-3"].tried
+    assert len(seen) == 2 * len(asked)
+    for i, steps in enumerate(seen):
+        task, count = divmod(i, 3)
+        wished = transitions(episodes[3 * task : 3 * task + count + 1])
+        assert np.array_equal(steps.inputs, wished.inputs)
+        assert np.array_equal(steps.rewards, wished.rewards)
+
+
+def transitions(episodes):
+    """Step by step."""
+    steps = [(e.observations[t], e.actions[t], e.observations[t + 1] - e.observations[t])
+             for e in episodes for t in range(e.length)]  # fmt: skip
+    return Transitions(np.float32([np.concatenate(step) for step in steps]),
+                       np.concatenate([e.rewards for e in episodes]))  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["ml10", "mt10", "cheetah_vel"])
