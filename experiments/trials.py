@@ -93,7 +93,7 @@ def try_out(
     horizon = config.evaluation.horizon or material.horizon
     returns = trained.returns.pooled([family.return_target])
     ground = Ground(trained, inside, settings, window, horizon, config.adapt.infer.tasks, bytes(32),
-                    model if settings.infer == "each" else None)  # fmt: skip
+                    model if settings.infer == "rewards" else None)  # fmt: skip
     for place, task in zip(material.test_rows, material.tasks(material.test_rows), strict=True):
         if only and task.name not in only:
             continue
@@ -121,8 +121,8 @@ def try_out(
         for count in sorted({0, *settings.episodes}):
             at = trials.tried.chosen[count]
             one = trials.tried.contenders[at]
-            if one.name in table:
-                table[count] = table[one.name]
+            if (known := -1 - at) in table:  # judged already: rows by place, below zero
+                table[count] = table[known]
                 continue
             actor = PromptController(one.policy, one.prompt, returns, window, *box)
             result = evaluate(
@@ -130,8 +130,8 @@ def try_out(
                 cache.make, partial(material.goal_key, block="train"),
             )  # fmt: skip
             share = None if result.successes is None else float(result.successes.mean())
-            table[count] = table[one.name] = (one.name, float(result.returns.mean()), share)
-        told = {count: row for count, row in table.items() if isinstance(count, int)}
+            table[count] = table[known] = (one.name, float(result.returns.mean()), share)
+        told = {count: row for count, row in table.items() if count >= 0}
         print(task.name, told, f"{took:.0f} s", flush=True)
         found[task.name] = {
             "acts": trials.tried.acts, "seconds": round(took),

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -29,6 +30,7 @@ from mpdt.model.returns import ReturnTable
 from mpdt.seeding import SeedKey, Stream
 from mpdt.train.adapt.infer import explain
 from mpdt.train.adapt.trials.acts import by_policy, by_tour, relay
+from mpdt.train.adapt.trials.climb import NEAREST, next_move
 from mpdt.train.adapt.trials.clone import clone, demonstrations, stretch_of
 from mpdt.train.adapt.trials.contenders import WORTH_TRYING, Contender, best
 from mpdt.train.adapt.trials.inside import Inside
@@ -42,8 +44,7 @@ from mpdt.train.evaluate.controller import PromptController
 from mpdt.train.fit.reward import RewardModel, convex_fit, read_transitions
 from mpdt.train.fit.trained import Trained
 
-SAME_WEIGHTS = 0.02
-"""Mixtures closer than this in every weight are one."""
+MOVED = "moved"
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class TaskTrials:
         material = ground.trained.material
         self._family, self._material = material.family, material
         self._env = make_batch(self._family, [task], material.options)
-        self._has_x = self._knows = weights is not None
+        self._knows = weights is not None
         N = len(material.train_rows)
         self._model = OwnModel(ground.trained, ground.inside, ground.settings, ground.window,
                                returns, list(x))  # fmt: skip
@@ -138,6 +139,8 @@ class TaskTrials:
             return "try", next_runner(tried.contenders)
         if not tried.episodes:
             return "open", 0
+        if self._climbs:
+            return "try", self._climb()
         at = best(tried.contenders, flags)
         waiting = [
             i
@@ -153,14 +156,39 @@ class TaskTrials:
             return "plan", None
         return ("open" if at == self._base() else "try"), at
 
+    @property
+    def _climbs(self) -> bool:
+        return self._ground.settings.search == "climb" and not self._family.has_success
+
+    def _climb(self) -> int:
+        """Whose turn it is: what was not tried yet, else the best mixture moved a little."""
+        tried, policy = self.tried, self._ground.trained.policy
+        waiting = [i for i, one in enumerate(tried.contenders)
+                   if not (one.retired or one.was_tried(has_success=False))]  # fmt: skip
+        if waiting:
+            return waiting[0]
+        earned = [one.returns[0] for one in tried.contenders if not one.retired]
+        first = len(earned) - sum(one.name.startswith(MOVED) for one in tried.contenders)
+        better = [earned[i] > max(earned[:i]) for i in range(first, len(earned))]
+        near = np.argsort(self._explained[1], kind="stable")[:NEAREST]
+        move = next_move(better, len(near))
+        task = int(near[move.towards])
+        leader = tried.contenders[best(tried.contenders, has_success=False)]
+        moved = (1 - move.share) * leader.prompt + move.share * self._mixed(
+            torch.eye(len(self._material.train_rows))[task][None]
+        )
+        name = self._material.dataset.tasks.names[self._material.train_rows[task]]
+        tried.contenders.append(Contender(f"{MOVED} {move.share:g} to {name}", policy, moved))
+        return len(tried.contenders) - 1
+
     def _is_worth(self, i: int, leader: int) -> bool:
         """Trying it: the mean prompt only while no other has succeeded."""
         one, other = self.tried.contenders[i], self.tried.contenders[leader]
         return one.name != "mean" or i == leader or not any(other.successes)
 
     def _base(self) -> int:
-        bases = [i for i, one in enumerate(self.tried.contenders) if one.name == "base"]
-        return bases[-1] if bases else 0
+        names = [one.name for one in self.tried.contenders]
+        return names.index("base") if "base" in names else 0
 
     def _mean(self) -> Contender:
         N = len(self._material.train_rows)
@@ -178,7 +206,7 @@ class TaskTrials:
                           settings.opening or ground.horizon)  # fmt: skip
         else:
             act = by_policy(self._controller(one, one.prompt), key, ground.horizon)
-        if kind == "try":
+        if kind == "try" or self._climbs:
             return act
         return relay(act, settings.opening, lambda step, record: self._planning(
             key, Stretch(record.observations[0, : step + 1], record.actions[0, :step],
@@ -199,7 +227,7 @@ class TaskTrials:
         tried, settings, flags = self.tried, self._ground.settings, self._family.has_success
         before = max(one.worth(flags) for one in tried.contenders if not one.retired)
         step = first_success(episode)
-        opened = kind == "open" and settings.opening < episode.length
+        opened = kind == "open" and settings.opening < episode.length and not self._climbs
         planned = at is None or (opened and (step is None or step >= settings.opening))
         toured = kind == "open" and at is not None and tried.contenders[at].name == "mean"
         if at is not None and not toured:
@@ -210,7 +238,7 @@ class TaskTrials:
                 one.successes.append(step is not None and not planned)
         if self._race:
             return
-        if not self._knows or (settings.infer == "each" and not self._has_x):
+        if not self._knows:
             self._infer()
         new = step is not None if flags else planned and episode.episode_return > before
         if at is not None and not planned and flags:
@@ -221,36 +249,34 @@ class TaskTrials:
             self._clone(made, key)
 
     def _infer(self) -> None:
-        """Base from the trials: the mixture of tasks whose rewards explain theirs. It replaces the
-        base before it, unless that has succeeded or is the same."""
-        tried, base = self.tried, self._base()
-        if self._knows and any(tried.contenders[base].successes):
-            return
-        weights = torch.from_numpy(self._explained()[None]).float()
-        if self._knows and torch.allclose(weights, tried.weights, atol=SAME_WEIGHTS):
-            return
-        tried.contenders[base].retired = self._knows or not self._ground.settings.mean
-        tried.weights, self._knows = weights, True
+        """Base from the first trial: the mixture of tasks whose rewards explain its rewards."""
+        tried = self.tried
+        weights, _ = self._explained
+        tried.weights, self._knows = torch.from_numpy(weights[None]).float(), True
+        tried.contenders[0].retired = not self._ground.settings.mean
         tried.contenders.append(
             Contender("base", self._ground.trained.policy, self._mixed(tried.weights))
         )
 
-    def _explained(self) -> NDArray[np.float64]:
-        """Weights (N,) of the training tasks."""
+    @cached_property
+    def _explained(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """By X, else by the first trial: weights (N,) of the training tasks, and how far off each
+        is (N,)."""
         ground, family = self._ground, self._family
-        lived = Lived([stretch_of(episode) for episode in self.tried.episodes])
+        lived = Lived(self._model.x or [stretch_of(self.tried.episodes[0])])
         if ground.rewards is not None:
             steps = read_transitions(lived, np.arange(len(lived)), lived.steps.rewards,
                                      family.action_low, family.action_high)  # fmt: skip
-            return explain(ground.rewards, steps, ground.tasks).weights
-        steps = lived.as_steps()
-        outputs = ground.inside.world.paid(steps)
-        target = steps.rewards.double().numpy()
+            found = explain(ground.rewards, steps, ground.tasks)
+            return found.weights, found.errors
+        first = lived.as_steps()
+        outputs = ground.inside.world.paid(first)
+        target = first.rewards.double().numpy()
         errors = np.square(outputs - target[:, None]).mean(axis=0)
         nearest = np.argsort(errors, kind="stable")[: min(ground.tasks, len(errors))]
         weights = np.zeros(len(errors))
         weights[nearest] = convex_fit(outputs[:, nearest], target)
-        return weights
+        return weights, errors
 
     def _mixed(self, weights: Tensor) -> Tensor:
         prompts = AdaptedPrompts(self._ground.trained.prompts, "infer", 1, weights)

@@ -11,7 +11,7 @@ from mpdt.errors import UsageError, check_above_zero, check_at_least
 TrialRow = Literal["alone", "with_x", "race"]
 
 
-BEFORE_THERE_WAS_A_CHOICE = {"mean": False, "infer": "first"}
+BEFORE_THERE_WAS_A_CHOICE = {"mean": False, "infer": "world", "search": "plan"}
 """Settings that runs on record do not name."""
 
 
@@ -93,10 +93,12 @@ class TrialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """Root of the trials' seeds, a stream apart from evaluation's."""
     opening: int = 200
     """Steps of the first trial that trained prompts act before the planner does."""
-    infer: Literal["first", "each"] = "each"
-    """How the row `alone` finds the training tasks that explain what it was paid: after each trial
-    anew, by the reward model of `adapt.infer`; or after the first alone, by the world model's
-    reward heads."""
+    infer: Literal["rewards", "world"] = "rewards"
+    """Which model the row `alone` asks for the training tasks that explain what its first trial was
+    paid: the reward model of `adapt.infer`, or the world model's reward heads."""
+    search: Literal["climb", "plan"] = "climb"
+    """What further trials are where the simulator has no successes: mixtures of prompts near the
+    best one, or a planner's (they have one where there are successes)."""
     mean: bool = False
     """The mean of all training tasks' prompts stays a contender and is tried in an episode of its
     own. Where there are many training tasks it may be better than what X points at."""

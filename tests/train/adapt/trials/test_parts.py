@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from mpdt.data.spec.tasks import get_family
+from mpdt.train.adapt.trials.climb import Move, next_move
 from mpdt.train.adapt.trials.contenders import Contender, best
 from mpdt.train.adapt.trials.features import SCALES_M, Features
 from mpdt.train.adapt.trials.lived import Lived, Stretch
@@ -188,3 +189,14 @@ def test_a_race_tries_each_once_and_takes_success_before_return():
     assert next_runner(ones) == 2
     assert leader(ones) == 1
     assert leader([contender("mean"), contender("prompt 1")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("better", "move"),
+    [([], Move(0, 0.3)), ([True], Move(0, 0.3)), ([False], Move(1, 0.3)),
+     ([False, False, True], Move(2, 0.3)), ([False] * 4, Move(0, 0.15)),
+     ([False] * 3 + [True] + [False] * 3, Move(2, 0.3)),
+     ([False] * 3 + [True] + [False] * 4, Move(3, 0.15))],
+)  # fmt: skip
+def test_moves_go_on_while_they_help_and_halve_after_a_round_that_did_not(better, move):
+    assert next_move(better, 4) == move

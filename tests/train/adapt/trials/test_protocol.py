@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import torch
+from safetensors.torch import load_file
 
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset
@@ -101,15 +103,15 @@ def test_only_the_row_with_x_reads_x(tiny_file, other_rewards_file):
 @pytest.mark.parametrize("row", ["with_x", "alone"])
 def test_the_mean_prompt_is_tried_whole_only_where_it_is_asked_for(tiny_file, row):
     for asked in (False, True):
-        _, begun = rows(tiny_file, told=True, episodes=(4,), rows=(row,), mean=asked, opening=8)
+        _, begun = rows(tiny_file, told=True, episodes=(4,), rows=(row,), mean=asked, opening=8,
+                        search="plan")  # fmt: skip
         forward = [text for phase, _, text in begun if phase.endswith("forward")]
         assert forward[0] == ("open base" if row == "with_x" else "open mean")
         assert ("try mean" in forward[1:]) == asked
 
 
-@pytest.mark.parametrize(("how", "asked"), [("first", []), ("each", [1, 2, 3])])
-def test_all_trials_so_far_are_asked_which_tasks_explain_them(tiny_file, monkeypatch, how, asked):
-    """Every step of them, against a loop; the row with X has been told and asks nothing."""
+def test_the_first_trial_alone_is_asked_which_tasks_explain_it(tiny_file, monkeypatch):
+    """Every step of it, against a loop."""
     seen = []
 
     def spy(model, steps, tasks):
@@ -117,14 +119,38 @@ def test_all_trials_so_far_are_asked_which_tasks_explain_them(tiny_file, monkeyp
         return explain(model, steps, tasks)
 
     monkeypatch.setattr(schedule, "explain", spy)
-    found, _ = rows(tiny_file, episodes=(3,), rows=("alone", "with_x"), infer=how)
+    found, _ = rows(tiny_file, episodes=(3,), rows=("alone",))
     episodes = found["trials-alone-3"].tried
-    assert len(seen) == 2 * len(asked)
-    for i, steps in enumerate(seen):
-        task, count = divmod(i, 3)
-        wished = transitions(episodes[3 * task : 3 * task + count + 1])
+    assert len(seen) == 2
+    for task, steps in enumerate(seen):
+        wished = transitions([episodes[3 * task]])
         assert np.array_equal(steps.inputs, wished.inputs)
         assert np.array_equal(steps.rewards, wished.rewards)
+    seen.clear()
+    rows(tiny_file, episodes=(3,), rows=("alone",), infer="world", search="plan")
+    assert not seen
+
+
+@pytest.mark.parametrize("row", ["alone", "with_x"])
+def test_where_there_is_no_success_mixtures_near_the_best_are_tried(tiny_file, tmp_path, row):
+    """Prompts against the sum of their parts, from what is kept of a run."""
+    found, begun = rows(tiny_file, tmp_path, told=True, episodes=(5,), rows=(row,))
+    forward = [text for phase, _, text in begun if phase.endswith("forward")]
+    assert forward[: 2 if row == "alone" else 1][-1].endswith("base")
+    moves = [text.split()[1:] for text in forward if "moved" in text]
+    assert len(moves) == (3 if row == "alone" else 4) and "plan" not in forward
+    (path,) = tmp_path.glob(f"forward-{row}-*.safetensors")
+    kept = load_file(path)
+    trained = trained_with(tiny_file, config_with()).prompts.task_prompts().detach()
+    earned = [e.episode_return for e in found[f"trials-{row}-5"].tried[:5]]
+    earned = earned[1:] if row == "alone" else earned
+    numbers = [i for i in range(6) if f"contender.{i}.prompt" in kept]
+    tried = [kept[f"contender.{i}.prompt"] for i in numbers[-len(earned) :]]
+    for n, (_, share, _, name) in enumerate(moves, start=1):
+        leader = tried[max(range(n), key=lambda i: (earned[i], i))]
+        task = {"forward": 0, "backward": 1}[name]
+        wished = (1 - float(share)) * leader + float(share) * trained[task]
+        assert torch.allclose(tried[n], wished, atol=1e-5)
 
 
 def transitions(episodes):

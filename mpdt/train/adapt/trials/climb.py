@@ -1,0 +1,44 @@
+"""Own trials where the simulator has no successes: a search over mixtures of prompts.
+
+A planner inside a learned model is no match for a gait that a prompt knows. So after the first
+trial has told which training tasks are near, each further one tries the best mixture so far moved
+towards one of these, and what earned more is kept:
+
+    moved by a share s towards task j     better  ->  the same again
+                                          worse   ->  the next j; after the last one, with s / 2
+
+Prompts are linear in the weights, so mixtures of prompts are mixtures of tasks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+SHARE = 0.3
+NEAREST = 4
+"""Training tasks that a mixture is moved towards, the nearest first."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """Towards the nearest task number `towards`, by `share` of the way."""
+
+    towards: int
+    share: float
+
+
+def next_move(better: Sequence[bool], nearest: int = NEAREST) -> Move:
+    """What to try after moves that were better or not than all before them.
+
+    better False, False, True     ->   task 2 again, by 0.3
+    """
+    towards, share, since = 0, SHARE, 0
+    for one in better:
+        since = 0 if one else since + 1
+        if one:
+            continue
+        towards = (towards + 1) % nearest
+        if since >= nearest:
+            share, since = share / 2, 0
+    return Move(towards, share)
