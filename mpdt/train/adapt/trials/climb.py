@@ -6,6 +6,7 @@ towards one of these, and what earned more is kept:
 
     moved by a share s towards task j     better  ->  the same again
                                           worse   ->  the next j; after the last one, with s / 2
+    there already                         the next j, no trial is spent on it
 
 Prompts are linear in the weights, so mixtures of prompts are mixtures of tasks.
 """
@@ -14,6 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+import torch
+from torch import Tensor
 
 SHARE = 0.3
 NEAREST = 4
@@ -42,3 +46,26 @@ def next_move(better: Sequence[bool], nearest: int = NEAREST) -> Move:
         if since >= nearest:
             share, since = share / 2, 0
     return Move(towards, share)
+
+
+def next_mixture(
+    prompts: Sequence[Tensor], earned: Sequence[float], before: int, near: Tensor
+) -> tuple[Move, Tensor]:
+    """The next move and the prompt (1, l, s) that it gives.
+
+    Args:
+        prompts, earned: what was tried, in order, each (1, l, s) with the return of its trial.
+        before: how many of these came before the first move, at least 1.
+        near (m, l, s): prompts of the nearest tasks.
+    """
+    better: list[bool] = []
+    for n in range(before, len(earned) + 1):
+        leader = prompts[max(range(n), key=lambda i: (earned[i], i))]
+        for _ in near:
+            move = next_move(better, len(near))
+            if not torch.allclose(leader[0], near[move.towards]):
+                break
+            better.append(False)
+        if n < len(earned):
+            better.append(earned[n] > max(earned[:n]))
+    return move, (1 - move.share) * leader + move.share * near[None, move.towards]

@@ -30,7 +30,7 @@ from mpdt.model.returns import ReturnTable
 from mpdt.seeding import SeedKey, Stream
 from mpdt.train.adapt.infer import explain
 from mpdt.train.adapt.trials.acts import by_policy, by_tour, relay
-from mpdt.train.adapt.trials.climb import NEAREST, next_move
+from mpdt.train.adapt.trials.climb import NEAREST, next_mixture
 from mpdt.train.adapt.trials.clone import clone, demonstrations, stretch_of
 from mpdt.train.adapt.trials.contenders import WORTH_TRYING, Contender, best
 from mpdt.train.adapt.trials.inside import Inside
@@ -167,18 +167,16 @@ class TaskTrials:
                    if not (one.retired or one.was_tried(has_success=False))]  # fmt: skip
         if waiting:
             return waiting[0]
-        earned = [one.returns[0] for one in tried.contenders if not one.retired]
-        first = len(earned) - sum(one.name.startswith(MOVED) for one in tried.contenders)
-        better = [earned[i] > max(earned[:i]) for i in range(first, len(earned))]
+        alive = [one for one in tried.contenders if not one.retired]
+        before = sum(not one.name.startswith(MOVED) for one in alive)
         near = np.argsort(self._explained[1], kind="stable")[:NEAREST]
-        move = next_move(better, len(near))
-        task = int(near[move.towards])
-        leader = tried.contenders[best(tried.contenders, has_success=False)]
-        moved = (1 - move.share) * leader.prompt + move.share * self._mixed(
-            torch.eye(len(self._material.train_rows))[task][None]
-        )
-        name = self._material.dataset.tasks.names[self._material.train_rows[task]]
-        tried.contenders.append(Contender(f"{MOVED} {move.share:g} to {name}", policy, moved))
+        alone = torch.eye(len(self._material.train_rows))[near]
+        voices = torch.cat([self._mixed(weights[None]) for weights in alone])
+        move, moved = next_mixture([one.prompt for one in alive],
+                                   [one.returns[0] for one in alive], before, voices)  # fmt: skip
+        row = self._material.train_rows[int(near[move.towards])]
+        name = f"{MOVED} {move.share:g} to {self._material.dataset.tasks.names[row]}"
+        tried.contenders.append(Contender(name, policy, moved))
         return len(tried.contenders) - 1
 
     def _is_worth(self, i: int, leader: int) -> bool:

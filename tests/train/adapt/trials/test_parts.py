@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from mpdt.data.spec.tasks import get_family
-from mpdt.train.adapt.trials.climb import Move, next_move
+from mpdt.train.adapt.trials.climb import Move, next_mixture, next_move
 from mpdt.train.adapt.trials.contenders import Contender, best
 from mpdt.train.adapt.trials.features import SCALES_M, Features
 from mpdt.train.adapt.trials.lived import Lived, Stretch
@@ -200,3 +200,15 @@ def test_a_race_tries_each_once_and_takes_success_before_return():
 )  # fmt: skip
 def test_moves_go_on_while_they_help_and_halve_after_a_round_that_did_not(better, move):
     assert next_move(better, 4) == move
+
+
+def test_no_trial_is_spent_on_moving_to_where_the_best_mixture_is():
+    """Two tasks at 0 and 1, the base at 0; then 0.3, which is better, 0.51, worse, back to 0."""
+    near = torch.tensor([[[0.0]], [[1.0]]])
+    prompts, earned = [near[:1]], [0.0]
+    for wished, paid in ((0.3, 1.0), (0.51, 0.5), (0.21, 0.2), (0.405, 0.1)):
+        _, prompt = next_mixture(prompts, earned, 1, near)
+        assert prompt.item() == pytest.approx(wished)
+        prompts, earned = [*prompts, prompt], [*earned, paid]
+    move, _ = next_mixture([near[:1]], [0.0], 1, near[:1])
+    assert move == Move(0, 0.3), "nowhere else to go: it is tried again"
