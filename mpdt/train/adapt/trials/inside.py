@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mpdt.data.spec.tasks import Family
 from mpdt.train.adapt.trials.echo import Echo, answers, teach
 from mpdt.train.adapt.trials.features import Features
 from mpdt.train.adapt.trials.lived import Lived, training_stretches
@@ -26,13 +27,19 @@ MOST_VOICES = 12
 @dataclass(frozen=True)
 class Inside:
     """Attributes:
+    world, echo: None where nothing is planned (`plans`).
     voices: (V, l, s) prompts of training tasks.
     """
 
-    features: Features
-    world: WorldModel
+    features: Features | None
+    world: WorldModel | None
     echo: Echo | None
     voices: Tensor
+
+
+def plans(settings: TrialSettings, family: Family) -> bool:
+    """Whether trials ask a world model for anything."""
+    return family.has_success or settings.search == "plan" or settings.infer == "world"
 
 
 def make_inside(
@@ -41,6 +48,13 @@ def make_inside(
 ) -> Inside:  # fmt: skip
     """Pretrain everything. Raises: TrainingError; whatever `on_step` does."""
     material = trained.material
+    N = len(material.train_rows)
+    chosen = np.unique(np.linspace(0, N - 1, min(N, MOST_VOICES)).round().astype(np.int64))
+    rows = torch.from_numpy(chosen)
+    with torch.no_grad():
+        voices = trained.prompts.task_prompts()[rows].detach()
+    if not plans(settings, material.family):
+        return Inside(None, None, None, voices)
     stretches, heads = training_stretches(material, settings.world.episodes, seed)
     lived = Lived(stretches)
     steps = lived.as_steps(heads)
@@ -49,12 +63,7 @@ def make_inside(
     def tell(done: int, loss: float) -> None:
         on_step("world model", done, settings.world.pretraining, f"loss {loss:.4f}")
 
-    world = pretrain(features, steps, len(material.train_rows), settings.world, seed, tell)
-    N = len(material.train_rows)
-    chosen = np.unique(np.linspace(0, N - 1, min(N, MOST_VOICES)).round().astype(np.int64))
-    rows = torch.from_numpy(chosen)
-    with torch.no_grad():
-        voices = trained.prompts.task_prompts()[rows].detach()
+    world = pretrain(features, steps, N, settings.world, seed, tell)
     echo = None
     if settings.planner.echoes:
         wished = answers(

@@ -67,6 +67,7 @@ class OwnModel:
         whole = [*self.x, *map(stretch_of, episodes)]
         known = whole if now is None else [*whole, now]
         world = self.inside.world
+        assert world is not None, "planned without a world model"
         steps = Lived(known).as_steps() if known else None
         if steps is not None:
             newest = len(known[-1].rewards)
@@ -83,7 +84,7 @@ class OwnModel:
     def _echo(self, whole: Sequence[Stretch], now: Stretch | None, seed: int) -> Echo | None:
         """The prompts' echo, taught on what this task has shown as well."""
         inside = self.inside
-        if inside.echo is None or not (whole or now):
+        if inside.echo is None or inside.features is None or not (whole or now):
             return inside.echo
         x = self.x[:X_ECHOED]
         shown = [*x, *whole[len(self.x) :]]

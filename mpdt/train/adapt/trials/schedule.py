@@ -267,6 +267,7 @@ class TaskTrials:
                                      family.action_low, family.action_high)  # fmt: skip
             found = explain(ground.rewards, steps, ground.tasks)
             return found.weights, found.errors
+        assert ground.inside.world is not None, "there are no reward heads"
         first = lived.as_steps()
         outputs = ground.inside.world.paid(first)
         target = first.rewards.double().numpy()
