@@ -170,6 +170,9 @@ _FIFTY: tuple[Cell, ...] = (
     # Three times the updates.
     *(_fifty(data, "MPDT-ones", {"multitask": {"steps": 16500}}, _NOTHING_OR_X, label="ones-longer")
       for data in ("mt50", "ml45")),
+    # Its weights again, with the nearest task's prompt alone.
+    _fifty("mt50", "MPDT-ones", {"multitask": {"steps": 16500}}, INFER, TEST,
+           {"adapt": {"infer": {"tasks": 1}}}, label="ones-longer-nearest"),
 )  # fmt: skip
 
 
