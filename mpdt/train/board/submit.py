@@ -20,7 +20,7 @@ from mpdt.disk import holding, write_bytes
 from mpdt.errors import DataError, FormatError, UsageError, quoted
 from mpdt.train.board.rows import REFERENCE, Key, Row, board_csv, read_board, rows_of
 from mpdt.train.evaluate.score import REFERENCES
-from mpdt.train.run.config import from_plain
+from mpdt.train.run.identity import from_record
 from mpdt.train.run.results import read_results, read_results_file, scores_in
 from mpdt.train.run.show import command_text
 from mpdt.train.study.plans import STUDIES
@@ -147,7 +147,7 @@ def command_of(results: Mapping[str, Any], where: Path) -> str:
             return f"mpdt-train study {quoted(study)} --only {quoted(cell)} --restart"
     if "config" in results:
         sliced = f"{data}:{s}" if (s := results["data"].get("slice")) else data
-        return command_text(from_plain(results["config"]), sliced)
+        return command_text(from_record(results["config"]), sliced)
     policy = str(results.get("name", "?"))
     return f"mpdt-train evaluate --policy {quoted(policy)} --data {quoted(data)}"
 

@@ -43,8 +43,8 @@ from mpdt.errors import (
 )
 from mpdt.reading import read_json
 from mpdt.train.fit.log import MetricsLog
-from mpdt.train.run.config import TrainConfig, from_plain
-from mpdt.train.run.identity import Identity
+from mpdt.train.run.config import TrainConfig
+from mpdt.train.run.identity import Identity, from_record
 
 FORMAT = "mpdt-run/3"
 _MOST_LETTERS = 120  # most disks end at 255
@@ -280,7 +280,7 @@ def stored_settings(path: Path) -> TrainConfig:
     plain = {**stored["training"], **stored["judging"]}
     plain.pop("data")
     try:
-        return from_plain(plain)
+        return from_record(plain)
     except SpecError as error:
         raise FormatError(
             "the settings of this run are damaged", where=str(folder.config), found=error.found,

@@ -76,6 +76,23 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
     return settings
 
 
+def from_record(plain: Mapping[str, Any]) -> TrainConfig:
+    """The configuration of settings on record; what `plain_settings` left out of trials, and what
+    older ones do not name, is as it was then, which is not what is the default now.
+
+    Raises: as `from_plain`.
+    """
+    adapt = plain.get("adapt")
+    if (
+        isinstance(adapt, dict)
+        and isinstance(adapt.get("trials"), dict)
+        and "trials" in adapt.get("starts", ())
+    ):
+        trials = BEFORE_THERE_WAS_A_CHOICE | adapt["trials"]
+        plain = {**plain, "adapt": {**adapt, "trials": trials}}
+    return from_plain(dict(plain))
+
+
 def _drop(settings: dict[str, Any], plain: Mapping[str, Any]) -> None:
     """What is as it was before it could be chosen."""
     for name, value in plain.items():

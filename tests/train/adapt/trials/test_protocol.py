@@ -16,10 +16,11 @@ from mpdt.train.adapt.candidates import Candidates
 from mpdt.train.adapt.infer import explain
 from mpdt.train.adapt.trials import schedule
 from mpdt.train.adapt.trials.live import trial_key
+from mpdt.train.adapt.trials.settings import TrialSettings
 from mpdt.train.fit.reward import Transitions
 from mpdt.train.run.build import build
 from mpdt.train.run.config import from_plain, to_plain
-from mpdt.train.run.identity import plain_settings
+from mpdt.train.run.identity import from_record, plain_settings
 from mpdt.train.run.judge import Judge
 from mpdt.train.run.keep import Keeper
 from mpdt.train.run.methods import apply_method, merge
@@ -213,6 +214,18 @@ def test_settings_of_trials_count_only_where_trials_are_asked_for():
     without = from_plain(merge(to_plain(with_trials), {"adapt": {"starts": ["infer"]}}))
     assert "trials" not in plain_settings(without)["adapt"]
     assert plain_settings(with_trials)["adapt"]["trials"]["opening"] == 4
+
+
+@pytest.mark.parametrize("of_before", [True, False])
+def test_settings_on_record_are_read_as_what_was_run(of_before):
+    """What was left out for being as before is not filled in with what is the default now."""
+    before = {"infer": "world", "search": "plan", "mean": False}
+    config = config_with(**(before if of_before else {"mean": True}))
+    plain = plain_settings(config)
+    assert before.keys().isdisjoint(plain["adapt"]["trials"]) == of_before
+    assert from_record(plain).adapt == config.adapt
+    without = merge(to_plain(config), {"adapt": {"starts": ["infer"]}})
+    assert from_record(plain_settings(from_plain(without))).adapt.trials == TrialSettings()
 
 
 @pytest.mark.parametrize("method", ["Prompt-DT", "HDT", "MT-BC"])
