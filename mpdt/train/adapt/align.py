@@ -113,6 +113,12 @@ class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         )
 
     @property
+    def explains(self) -> bool:
+        """Whether a reward model is made, of the training tasks' random episodes."""
+        trials = self.trials
+        return self.infers or (self.tries and trials.infer == "rewards" and "alone" in trials.rows)
+
+    @property
     def tries(self) -> bool:
         """Whether the tasks get own episodes before they are judged."""
         return TRIALS in self.starts

@@ -111,7 +111,7 @@ class Material:
                 "no random episodes of the training tasks",
                 where=str(self.dataset.path),
                 hint="use the family's whole file, or leave out `infer` and "
-                "--statistics.source random",
+                "--statistics.source random; trials alone: --adapt.trials.infer world",
             )
         return ids
 

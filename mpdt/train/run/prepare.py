@@ -42,6 +42,6 @@ def prepare(config: TrainConfig, ref: str) -> Prepared:
     if config.adapt.tries and not material.family.simulates:
         raise not_installed(material.family)
     random = config.statistics.source == "random" and config.adapt.aligns
-    if material.test_rows and (random or config.adapt.infers):
+    if material.test_rows and (random or config.adapt.explains):
         material.random_ids()
     return Prepared(config, plain, ref, material, identify(config, plain, material))

@@ -90,7 +90,7 @@ def trial_results(
     seed = phase_seed(seed, "trials")
     inside = make_inside(trained, settings, window, seed, on_step)
     rewards = None
-    if settings.infer == "rewards":
+    if settings.infer == "rewards" and set(settings.rows) != {"race"}:  # which asks nobody
         rewards = fit_reward_model(
             read_training_tasks(material), adapt.infer, seed,
             lambda done, loss: on_step("reward model", done, adapt.infer.steps, f"{loss:.4f}"),

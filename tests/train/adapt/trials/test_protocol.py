@@ -9,7 +9,7 @@ from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import verify
-from mpdt.errors import SpecError
+from mpdt.errors import DataError, SpecError
 from mpdt.model.backbone import from_settings
 from mpdt.seeding import Quality, SeedKey
 from mpdt.train.adapt.candidates import Candidates
@@ -214,6 +214,16 @@ def test_settings_of_trials_count_only_where_trials_are_asked_for():
     without = from_plain(merge(to_plain(with_trials), {"adapt": {"starts": ["infer"]}}))
     assert "trials" not in plain_settings(without)["adapt"]
     assert plain_settings(with_trials)["adapt"]["trials"]["opening"] == 4
+
+
+def test_without_random_episodes_what_would_ask_a_reward_model_is_refused_before_training(
+    medium_file,
+):
+    """A race asks nobody, and the world model is not made of random episodes alone."""
+    with pytest.raises(DataError, match="no random episodes"):
+        prepare(config_with(rows=("alone",)), str(medium_file))
+    for asked in ({"rows": ("race",)}, {"rows": ("alone",), "infer": "world"}):
+        assert len(rows(medium_file, episodes=(2,), **asked)[0]) == 2
 
 
 @pytest.mark.parametrize("of_before", [True, False])
