@@ -147,7 +147,9 @@ class TaskTrials:
             for i, one in enumerate(tried.contenders)
             if not (one.retired or one.was_tried(flags)) and self._is_worth(i, at)
         ]
-        at = waiting[-1] if waiting else at
+        # Base can open again and again without an episode of its own: it keeps nobody waiting.
+        opened = self._base() if "open base" in tried.acts else None
+        at = ([i for i in waiting if i != opened] or waiting or [at])[-1]
         plans = sum(act == "plan" for act in tried.acts)
         again = bool(waiting) or 2 * plans >= len(tried.acts)
         if flags:

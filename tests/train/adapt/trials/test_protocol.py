@@ -101,11 +101,12 @@ def test_only_the_row_with_x_reads_x(tiny_file, other_rewards_file):
         assert one.reads == ("X+rewards, trials" if name == "with_x" else "trials")
 
 
-@pytest.mark.parametrize("row", ["with_x", "alone"])
-def test_the_mean_prompt_is_tried_whole_only_where_it_is_asked_for(tiny_file, row):
+@pytest.mark.parametrize(("row", "opening"), [("with_x", 8), ("alone", 8), ("alone", 4)])
+def test_the_mean_prompt_is_tried_whole_only_where_it_is_asked_for(tiny_file, row, opening):
+    """In episodes of 8 steps: also where base only opens them."""
     for asked in (False, True):
-        _, begun = rows(tiny_file, told=True, episodes=(4,), rows=(row,), mean=asked, opening=8,
-                        search="plan")  # fmt: skip
+        _, begun = rows(tiny_file, told=True, episodes=(5,), rows=(row,), mean=asked,
+                        opening=opening, search="plan")  # fmt: skip
         forward = [text for phase, _, text in begun if phase.endswith("forward")]
         assert forward[0] == ("open base" if row == "with_x" else "open mean")
         assert ("try mean" in forward[1:]) == asked
