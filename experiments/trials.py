@@ -181,7 +181,8 @@ def main() -> None:
               + (f", success {np.mean(shares):.2f}" if shares else ""))  # fmt: skip
     if args.json:
         content = {"left_out": args.leave_out, "row": args.row, "with": args.words,
-                   "judged": args.judged, "seed": SEED, "tasks": found}  # fmt: skip
+                   "settings": msgspec.to_builtins(settings), "judged": args.judged, "seed": SEED,
+                   "tasks": found}  # fmt: skip
         args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 

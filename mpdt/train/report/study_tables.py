@@ -23,7 +23,7 @@ def report_tables(cells: Sequence[CellResult], studies: Sequence[str]) -> list[T
     verdicts = []
     if {cell.data for cell in cells} & {goal.data for goal in GOALS}:
         verdicts = [goals_table(cells), protocols_table(cells)]
-    if CLAIMED_OF[0] in studies:
+    if set(CLAIMED_OF) & set(studies):
         verdicts.append(claims_table(cells))
     return [*verdicts, *study_tables(cells, *studies)]
 

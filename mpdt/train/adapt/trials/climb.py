@@ -6,7 +6,7 @@ towards one of these, and what earned more is kept:
 
     moved by a share s towards task j     better  ->  the same again
                                           worse   ->  the next j; after the last one, with s / 2
-    there already                         the next j, no trial is spent on it
+    there already                         the next j, no trial is spent on it, unless all are there
 
 Prompts are linear in the weights, so mixtures of prompts are mixtures of tasks.
 """
@@ -20,8 +20,9 @@ import torch
 from torch import Tensor
 
 SHARE = 0.3
+"""Large enough to be seen in a single return, by which a mixture is judged: trials are few."""
 NEAREST = 4
-"""Training tasks that a mixture is moved towards, the nearest first."""
+"""Training tasks that a mixture is moved towards, the nearest first: two rounds of ten trials."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ class Contender:
     """One policy behind one prompt (1, l, s).
 
     Attributes:
-        name: base, mean, prompt-K, clone-K.
+        name: base, mean, "prompt 3", "clone 1", "moved 0.3 to TASK".
         returns: of its whole episodes; a trial that it only opened has none.
         successes: of all its tries; empty where the simulator has no successes.
         retired: it is not chosen any more.

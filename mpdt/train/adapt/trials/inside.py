@@ -27,7 +27,7 @@ MOST_VOICES = 12
 @dataclass(frozen=True)
 class Inside:
     """Attributes:
-    world, echo: None where nothing is planned (`plans`).
+    features, world: None where nobody asks them. echo: None where nothing is planned.
     voices: (V, l, s) prompts of training tasks.
     """
 
@@ -38,8 +38,8 @@ class Inside:
 
 
 def plans(settings: TrialSettings, family: Family) -> bool:
-    """Whether trials ask a world model for anything."""
-    return family.has_success or settings.search == "plan" or settings.infer == "world"
+    """Whether a planner acts in some trial."""
+    return family.has_success or settings.search == "plan"
 
 
 def make_inside(
@@ -53,7 +53,8 @@ def make_inside(
     rows = torch.from_numpy(chosen)
     with torch.no_grad():
         voices = trained.prompts.task_prompts()[rows].detach()
-    if not plans(settings, material.family):
+    planned = plans(settings, material.family)
+    if not planned and settings.infer != "world":
         return Inside(None, None, None, voices)
     stretches, heads = training_stretches(material, settings.world.episodes, seed)
     lived = Lived(stretches)
@@ -65,7 +66,7 @@ def make_inside(
 
     world = pretrain(features, steps, N, settings.world, seed, tell)
     echo = None
-    if settings.planner.echoes:
+    if planned and settings.planner.echoes:
         wished = answers(
             trained.policy, voices, trained.returns.select(rows), lived, window,
             lambda done, of: on_step("echo", done, of, f"{len(voices)} prompts"),

@@ -1,14 +1,15 @@
 """What is done in each of a task's trials, and what is learnt after it.
 
-    opening     trained prompts for some steps, then the planner     (first; base while it is best)
+    open        trained prompts for some steps, then the planner     (first; base while it is best)
     plan        the planner: refitted world model, echo of the prompts
     try         a clone acts alone; with `adapt.trials.mean` also the mean prompt, if none succeeded
 
     a success of the planner, or enough of a clone's own     ->  a new clone, tried next
     the best contender stands at 1/2 or better               ->  it is tried again, else planned
 
-Trials never depend on how many will follow: K = 3 is the beginning of K = 10. Where there are no
-successes, planning that earns more than the best contender's mean takes their place.
+Where the simulator has no successes, mixtures of prompts are tried instead (climb.py); with
+`adapt.trials.search plan` planning that earns more than the best contender's mean is cloned.
+Trials never depend on how many will follow: K = 3 is the beginning of K = 10.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class Ground:
     Args:
         window: K of the policy.
         tasks: training tasks that may share the weight, as `adapt.infer.tasks`.
-        rewards: the model that explains trials, where each is asked (`adapt.trials.infer`).
+        rewards: the model that explains the first trial; None: the world model's reward heads do.
         fingerprint: 32 bytes of what acts; kept with every episode.
     """
 
@@ -182,7 +183,7 @@ class TaskTrials:
         return len(tried.contenders) - 1
 
     def _is_worth(self, i: int, leader: int) -> bool:
-        """Trying it: the mean prompt only while no other has succeeded."""
+        """Trying it: the mean prompt only while the leader has not succeeded."""
         one, other = self.tried.contenders[i], self.tried.contenders[leader]
         return one.name != "mean" or i == leader or not any(other.successes)
 

@@ -92,10 +92,11 @@ class TrialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     seed: int = 0
     """Root of the trials' seeds, a stream apart from evaluation's."""
     opening: int = 200
-    """Steps of the first trial that trained prompts act before the planner does."""
+    """Steps of the first trial that trained prompts act before the planner does; where nothing
+    plans, of one round of their tour."""
     infer: Literal["rewards", "world"] = "rewards"
-    """Which model the row `alone` asks for the training tasks that explain what its first trial was
-    paid: the reward model of `adapt.infer`, or the world model's reward heads."""
+    """Which model is asked for the training tasks that explain what the first trial was paid: the
+    reward model of `adapt.infer`, or the world model's reward heads."""
     search: Literal["climb", "plan"] = "climb"
     """What further trials are where the simulator has no successes: mixtures of prompts near the
     best one, or a planner's (they have one where there are successes)."""
