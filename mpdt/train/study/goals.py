@@ -111,7 +111,8 @@ def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
              and (goal.share is None or math.isfinite(shares[row.method]))]  # fmt: skip
     if not tried:
         return (goal.name, "not run", wanted, *["-"] * 8)
-    best = max(tried, key=lambda row: row.mean)
+    # A goal of success alone is judged by the row of most success.
+    best = max(tried, key=lambda row: row.mean if goal.mean is not None else row.success or 0.0)
     share = shares[best.method]
     met = (
         (goal.mean is None or best.mean >= goal.mean)

@@ -132,6 +132,16 @@ def test_a_goal_of_own_episodes_looks_at_its_own_count(cells, monkeypatch):
     assert line[0] == "mt10, X and 3 own episodes" and line[4].startswith("c X and 3")
 
 
+def test_a_goal_of_success_alone_is_judged_by_the_row_of_most_success(monkeypatch):
+    rows = [one for method, mean, success in (("a", 9.0, 0.2), ("b", 5.0, 0.4))
+            for one in score(method, mean, success=success)]  # fmt: skip
+    tried = [CellResult("ml45", "A", 0, tuple(rows), {})]
+    (line,) = goals_table_of(monkeypatch, tried, Goal("ml45", None, success=0.3))
+    assert line[1] == "met" and line[4].startswith("b ")
+    (line,) = goals_table_of(monkeypatch, tried, Goal("ml45", 8, success=0.3))
+    assert line[1] == "missed" and line[4].startswith("a ")
+
+
 def test_a_goal_of_other_data_looks_at_its_own_cell_and_the_usual_ones_pass_it_by():
     rows = [row(1, 2, "ones-medium infer"), row(1, 2, "ones-long infer")]
     rows = [replace(one, reads="X+rewards") for one in rows]
