@@ -48,15 +48,12 @@ TEMPERATURES = (0.05, 0.1, 0.2, 0.4)
 
 def ways(model: RewardModel, x: Transitions) -> dict[str, NDArray[np.float64]]:
     """Weights (N,) of the training tasks by name of the way."""
-    nearest = {f"{most} nearest": explain(model, x, most).weights for most in NEAREST}
-    errors = explain(model, x, 1).errors
-    N = len(errors)
-    mean = np.full(N, 1 / N)
-    found = {"mean": mean, **nearest}
+    explained = {most: explain(model, x, most) for most in NEAREST}
+    two, errors = explained[2].weights, explained[2].errors
+    mean = np.full(len(errors), 1 / len(errors))
+    found = {"mean": mean, **{f"{most} nearest": one.weights for most, one in explained.items()}}
     for share in SHARES:
-        found[f"2 nearest, {share:g} of the mean"] = (1 - share) * nearest[
-            "2 nearest"
-        ] + share * mean
+        found[f"2 nearest, {share:g} of the mean"] = (1 - share) * two + share * mean
     for temperature in TEMPERATURES:
         far = -(errors - errors.min()) / (temperature * x.rewards.std() + 1e-9)
         found[f"softmax at {temperature:g}"] = np.exp(far) / np.exp(far).sum()
@@ -115,8 +112,8 @@ def judge(config: Any, trained: Any, episodes: int) -> dict[str, dict[str, list[
     returns = trained.returns.pooled([family.return_target] * len(tasks))
     found, cache = {}, SimulatorCache()
     for name, rows in mixed.items():
-        weights = torch.from_numpy(np.stack(rows)).float()
-        prompts = AdaptedPrompts(trained.prompts, "infer", len(tasks), weights)
+        stacked = torch.from_numpy(np.stack(rows)).float()
+        prompts = AdaptedPrompts(trained.prompts, "infer", len(tasks), stacked)
         actor = PromptController(trained.policy, prompts.task_prompts().detach(), returns,
                                  config.sampler.window, *box)  # fmt: skip
         result = evaluate(

@@ -13,21 +13,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from trained import SEED, open_run
+from trained import SEED, judged_behind, open_run
 
 from mpdt.draw.table import markdown_table
 from mpdt.errors import MpdtError
 from mpdt.seeding import phase_seed
-from mpdt.train.adapt.candidates import Candidates
 from mpdt.train.adapt.infer import explain
 from mpdt.train.evaluate.aggregate import mean, stratified_interval
-from mpdt.train.evaluate.rollout import SimulatorCache, evaluate
 from mpdt.train.fit.reward import fit_reward_model, read_training_tasks
 from mpdt.train.run.progress import Progress
 
@@ -37,28 +34,19 @@ def returns_of(
 ) -> tuple[list[str], dict[str, NDArray[np.float64]]]:
     """Names of the training tasks (N); per way of acting, mean returns (N)."""
     config, trained = open_run(run, data)
-    material, settings, progress = trained.material, config.evaluation, Progress()
-    known = read_training_tasks(material)
+    progress = Progress()
+    known = read_training_tasks(trained.material)
     infer = config.adapt.infer
     model = fit_reward_model(
         known, infer, phase_seed(config.seed, "adapt"),
         lambda done, _: progress.update("reward model", done, infer.steps),
     )  # fmt: skip
-    with torch.no_grad():
-        parts, cross = trained.prompts.task_parts(), trained.prompts.cross
     ways = {"own": torch.eye(len(known))}
     for tasks in most:
         rows = [explain(model, x, tasks, banned=[k]).weights for k, x in enumerate(known)]
         ways[f"{tasks} others"] = torch.from_numpy(np.stack(rows)).float()
-    candidates, cache, found = Candidates(trained, config), SimulatorCache(), {}
-    for name, weights in ways.items():
-        prompts = cross * torch.einsum("nk,kls->nls", weights, parts)
-        judged = evaluate(
-            candidates.controller(prompts, trained.returns), material.family,
-            material.tasks(material.train_rows), material.options,
-            settings.horizon or material.horizon, episodes, SEED, settings.max_rows,
-            partial(progress.update, name), cache.make,
-        )  # fmt: skip
+    found = {}
+    for name, judged in judged_behind(config, trained, ways, episodes):
         found[name] = judged.returns.mean(axis=1)
     return list(judged.tasks), found
 

@@ -94,10 +94,11 @@ def try_out(
     returns = trained.returns.pooled([family.return_target])
     ground = Ground(trained, inside, settings, window, horizon, config.adapt.infer.tasks, bytes(32),
                     model if settings.infer == "rewards" else None)  # fmt: skip
-    for place, task in zip(material.test_rows, material.tasks(material.test_rows), strict=True):
+    asked = zip(material.test_rows, material.tasks(material.test_rows), strict=True)
+    for task_row, task in asked:
         if only and task.name not in only:
             continue
-        ids = dataset.select(task=place, quality="random")[:X_EPISODES]
+        ids = dataset.select(task=task_row, quality="random")[:X_EPISODES]
         weights, x = None, []
         if row == "with_x":
             steps = read_transitions(dataset, ids, dataset.steps.rewards, *box)
@@ -117,21 +118,18 @@ def try_out(
                   f"{episode.episode_return:.0f} {reached} ({time.process_time() - at:.0f} s)",
                   flush=True)  # fmt: skip
         took = time.process_time() - began
-        table = {}
-        for count in sorted({0, *settings.episodes}):
-            at = trials.tried.chosen[count]
-            one = trials.tried.contenders[at]
-            if (known := -1 - at) in table:  # judged already: rows by place, below zero
-                table[count] = table[known]
-                continue
+        rows: dict[int, tuple[str, float, float | None]] = {}  # by place: names may be shared
+        chosen = {count: trials.tried.chosen[count] for count in sorted({0, *settings.episodes})}
+        for place in set(chosen.values()):
+            one = trials.tried.contenders[place]
             actor = PromptController(one.policy, one.prompt, returns, window, *box)
             result = evaluate(
                 actor, family, [task], material.options, horizon, judged, SEED, 128, None,
                 cache.make, partial(material.goal_key, block="train"),
             )  # fmt: skip
             share = None if result.successes is None else float(result.successes.mean())
-            table[count] = table[known] = (one.name, float(result.returns.mean()), share)
-        told = {count: row for count, row in table.items() if count >= 0}
+            rows[place] = (one.name, float(result.returns.mean()), share)
+        told = {count: rows[place] for count, place in chosen.items()}
         print(task.name, told, f"{took:.0f} s", flush=True)
         found[task.name] = {
             "acts": trials.tried.acts, "seconds": round(took),

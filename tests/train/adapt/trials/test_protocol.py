@@ -112,8 +112,8 @@ def test_the_mean_prompt_is_tried_whole_only_where_it_is_asked_for(tiny_file, ro
         assert ("try mean" in forward[1:]) == asked
 
 
-def test_the_first_trial_alone_is_asked_which_tasks_explain_it(tiny_file, monkeypatch):
-    """Every step of it, against a loop."""
+def test_the_first_trial_alone_is_asked_which_tasks_explain_it(tiny_file, tmp_path, monkeypatch):
+    """Every step of it, against a loop; also by a run that goes on after several trials."""
     seen = []
 
     def spy(model, steps, tasks):
@@ -128,6 +128,12 @@ def test_the_first_trial_alone_is_asked_which_tasks_explain_it(tiny_file, monkey
         wished = transitions([episodes[3 * task]])
         assert np.array_equal(steps.inputs, wished.inputs)
         assert np.array_equal(steps.rewards, wished.rewards)
+    seen.clear()
+    with pytest.raises(KeyboardInterrupt):
+        rows(tiny_file, tmp_path, stop_after=3, episodes=(5,), rows=("alone",))
+    seen.clear()
+    rows(tiny_file, tmp_path, episodes=(5,), rows=("alone",))
+    assert np.array_equal(seen[0].inputs, transitions([episodes[0]]).inputs)
     seen.clear()
     rows(tiny_file, episodes=(3,), rows=("alone",), infer="world", search="plan")
     assert not seen
