@@ -38,8 +38,9 @@ class Inside:
 
 
 def plans(settings: TrialSettings, family: Family) -> bool:
-    """Whether a planner acts in some trial."""
-    return family.has_success or settings.search == "plan"
+    """Whether a planner acts in some trial; in a race none does."""
+    learns = set(settings.rows) != {"race"}
+    return learns and (family.has_success or settings.search == "plan")
 
 
 def make_inside(
@@ -54,7 +55,8 @@ def make_inside(
     with torch.no_grad():
         voices = trained.prompts.task_prompts()[rows].detach()
     planned = plans(settings, material.family)
-    if not planned and settings.infer != "world":
+    read = settings.infer == "world" and set(settings.rows) != {"race"}
+    if not (planned or read):
         return Inside(None, None, None, voices)
     stretches, heads = training_stretches(material, settings.world.episodes, seed)
     lived = Lived(stretches)

@@ -28,7 +28,7 @@ from mpdt.model.fingerprint import fingerprint
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import phase_seed
 from mpdt.train.adapt.align import AdaptationSet, AdaptSettings
-from mpdt.train.adapt.trials.inside import make_inside
+from mpdt.train.adapt.trials.inside import make_inside, plans
 from mpdt.train.adapt.trials.lived import Stretch, stretches_of
 from mpdt.train.adapt.trials.schedule import Ground, TaskTrials
 from mpdt.train.adapt.trials.settings import BEFORE_THERE_WAS_A_CHOICE, TrialRow, TrialSettings
@@ -90,7 +90,8 @@ def trial_results(
     seed = phase_seed(seed, "trials")
     inside = make_inside(trained, settings, window, seed, on_step)
     rewards = None
-    if settings.infer == "rewards" and set(settings.rows) != {"race"}:  # which asks nobody
+    climbs = "with_x" in settings.rows and not plans(settings, material.family)
+    if settings.infer == "rewards" and ("alone" in settings.rows or climbs):
         rewards = fit_reward_model(
             read_training_tasks(material), adapt.infer, seed,
             lambda done, loss: on_step("reward model", done, adapt.infer.steps, f"{loss:.4f}"),

@@ -8,10 +8,11 @@ from mpdt.data.spec.tasks import get_family
 from mpdt.train.adapt.trials.climb import Move, next_mixture, next_move
 from mpdt.train.adapt.trials.contenders import Contender, best
 from mpdt.train.adapt.trials.features import SCALES_M, Features
+from mpdt.train.adapt.trials.inside import plans
 from mpdt.train.adapt.trials.lived import Lived, Stretch
 from mpdt.train.adapt.trials.planner import Planner, imagine
 from mpdt.train.adapt.trials.race import leader, next_runner
-from mpdt.train.adapt.trials.settings import PlannerSettings, WorldSettings
+from mpdt.train.adapt.trials.settings import PlannerSettings, TrialSettings, WorldSettings
 from mpdt.train.adapt.trials.world import pretrain, refit
 
 TINY = WorldSettings(members=2, hidden=16, pretraining=150, refitting=150, batch=64, lr=1e-2)
@@ -212,3 +213,14 @@ def test_no_trial_is_spent_on_moving_to_where_the_best_mixture_is():
         prompts, earned = [*prompts, prompt], [*earned, paid]
     move, _ = next_mixture([near[:1]], [0.0], 1, near[:1])
     assert move == Move(0, 0.3), "nowhere else to go: it is tried again"
+
+
+@pytest.mark.parametrize(
+    ("family", "trials", "planned"),
+    [("ml10", {}, True), ("ml10", {"rows": ("race",)}, False),
+     ("ml10", {"rows": ("race", "alone")}, True), ("cheetah_vel", {}, False),
+     ("cheetah_vel", {"search": "plan"}, True),
+     ("cheetah_vel", {"search": "plan", "rows": ("race",)}, False)],
+)  # fmt: skip
+def test_a_world_model_is_trained_only_where_something_plans(family, trials, planned):
+    assert plans(TrialSettings(**trials), get_family(family)) == planned
