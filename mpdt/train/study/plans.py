@@ -87,6 +87,8 @@ _ONE_BLOCK: tuple[Cell, ...] = (
     *(cell_of(VEL, "MPDT-ones", seed, HIDDEN, label="ones-hidden") for seed in (0, 1, 2)),
     # As long as four blocks took; as on ml10 and mt10 without the previous action.
     *(cell_of("ant_dir", "MPDT-ones", seed, ANT_LONG, label="ones-long") for seed in (0, 1, 2)),
+    # As the ant: training tasks said that 1,200 updates are not the end of it.
+    *(cell_of(VEL, "MPDT-ones", seed, ANT_LONG, label="ones-long") for seed in (0, 1, 2, 3, 4)),
 )  # fmt: skip
 
 _NEAREST = ({"adapt": {"starts": ["infer", "infer_aligned"], "infer": {"tasks": 1}}}, TEST)
