@@ -1,10 +1,11 @@
 """How many training tasks should share the weight where the unseen goals are of tasks it knows?
 
-    python experiments/known_tasks.py RUN --data FILE [--tasks 1 2] [--episodes 3] [--json F]
+    python experiments/known_tasks.py RUN --data FILE [--by rewards steps] [--tasks 1 2]
+        [--episodes 3] [--json F]
 
-For mt10 and mt50, asked of training goals: the reward model is fitted on every other random episode
-of each task, the others are then explained by it, the task itself among the candidates, and the
-mixtures that come out act on training goals. Held-out goals are not touched.
+For mt10 and mt50, asked of training goals: a model is fitted on every other random episode of each
+task, the others are then explained by it, the task itself among the candidates, and the mixtures
+that come out act on training goals. Held-out goals are not touched.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import json
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import torch
 from trained import SEED, judged_behind, open_run
@@ -21,12 +23,14 @@ from trained import SEED, judged_behind, open_run
 from mpdt.draw.table import markdown_table
 from mpdt.errors import MpdtError
 from mpdt.seeding import phase_seed
-from mpdt.train.adapt.infer import explain
-from mpdt.train.fit.reward import fit_reward_model, read_transitions
+from mpdt.train.adapt.infer import explain_all
+from mpdt.train.fit.reward import read_transitions
 
 
-def asked_of(run: Path, data: str, most: list[int], episodes: int) -> dict[str, dict[str, float]]:
-    """Per number of tasks: what the own task weighs, how often it weighs most, return, success."""
+def asked_of(
+    run: Path, data: str, ways: list[str], most: list[int], episodes: int
+) -> dict[str, dict[str, float]]:
+    """Per way and number of tasks: what the own task weighs, how often most, return, success."""
     config, trained = open_run(run, data)
     material, dataset = trained.material, trained.material.dataset
     box = (material.family.action_low, material.family.action_high)
@@ -35,9 +39,12 @@ def asked_of(run: Path, data: str, most: list[int], episodes: int) -> dict[str, 
                           dataset.steps.rewards, *box) for row in material.train_rows]
         for half in (0, 1)
     )  # fmt: skip
-    model = fit_reward_model(fitted, config.adapt.infer, phase_seed(config.seed, "adapt"))
-    weights = {str(tasks): np.stack([explain(model, x, tasks).weights for x in asked])
-               for tasks in most}  # fmt: skip
+    weights = {}
+    for by in ways:
+        settings = msgspec.structs.replace(config.adapt.infer, by=by)
+        for tasks in most:
+            found = explain_all(fitted, asked, settings, tasks, phase_seed(config.seed, "adapt"))
+            weights[f"{by}, {tasks}"] = np.stack([one.weights for one in found])
     mixtures = {name: torch.from_numpy(own).float() for name, own in weights.items()}
     return {
         name: {
@@ -54,18 +61,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path)
     parser.add_argument("--data", required=True)
+    parser.add_argument("--by", nargs="+", default=["rewards", "steps"])
     parser.add_argument("--tasks", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--episodes", type=int, default=3)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     try:
-        found = asked_of(args.run, args.data, args.tasks, args.episodes)
+        found = asked_of(args.run, args.data, args.by, args.tasks, args.episodes)
     except MpdtError as error:
         sys.exit(error.render())
     rows = [(name, f"{one['own_weight']:.2f}", f"{one['own_most']:.0%}",
              f"{one['mean_return']:,.1f}", f"{one['success']:.1%}")
             for name, one in found.items()]  # fmt: skip
-    columns = ("tasks mixed", "own weight", "own the largest", "mean return", "success")
+    columns = ("by, tasks mixed", "own weight", "own the largest", "mean return", "success")
     print(markdown_table(columns, rows))
     if args.json:
         content = {"run": args.run.name, "episodes": args.episodes, "seed": SEED, "asked": found}

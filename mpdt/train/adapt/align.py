@@ -43,9 +43,9 @@ from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.prompts import UNTUNED, AdaptedPrompts, Start, TrainedPrompts
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import generator_at
+from mpdt.train.adapt.infer import InferSettings
 from mpdt.train.adapt.statistics import LayerStatistics, moments
 from mpdt.train.adapt.trials.settings import TrialSettings
-from mpdt.train.fit.reward import RewardSettings
 
 NOT_ADAPTED: Start = "none"
 INFERRED: tuple[Start, ...] = ("infer", "infer_aligned")
@@ -72,7 +72,7 @@ class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     `infer` and `infer_aligned` read the rewards of X; `trials` acts in the simulator before it is
     judged."""
     trials: TrialSettings = TrialSettings()
-    infer: RewardSettings = RewardSettings()
+    infer: InferSettings = InferSettings()
     set: str = "default"
     """Name of the TTA set."""
     episodes: int = 0

@@ -34,7 +34,7 @@ from mpdt.train.adapt.align import (
     returns_of_test_tasks,
 )
 from mpdt.train.adapt.few_shot import FewShotSettings, choose_steps, tune
-from mpdt.train.adapt.infer import Explanation, explain
+from mpdt.train.adapt.infer import Explanation, explain_all
 from mpdt.train.adapt.statistics import LayerStatistics, StatisticsSettings, source_statistics
 from mpdt.train.adapt.trials.protocol import trial_results
 from mpdt.train.evaluate.controller import PerTaskController, PromptController, TrainedActor
@@ -42,7 +42,7 @@ from mpdt.train.evaluate.rollout import EvaluationSettings
 from mpdt.train.evaluate.score import Reads
 from mpdt.train.fit.data import Ids, sample_demonstrations
 from mpdt.train.fit.log import MetricsLog
-from mpdt.train.fit.reward import fit_reward_model, read_training_tasks, read_transitions
+from mpdt.train.fit.reward import read_training_tasks, read_transitions
 from mpdt.train.fit.trained import Trained
 
 DONOR_BATCHES = 4  # of all training tasks, to choose the one whose demonstration stands for all
@@ -268,23 +268,19 @@ class Candidates:
 
     def _explanations(self) -> list[Explanation]:
         """The only place of an adaptation where rewards of a test task are read."""
-        material, settings = self._material, self._config.adapt
+        material, settings = self._material, self._config.adapt.infer
         family = material.family
         box = (family.action_low, family.action_high)
-        known = read_training_tasks(material)
+        rewards = self._x.rewards()
+        steps = [read_transitions(self._x.source, ids, rewards, *box) for ids in self._x.ids]
 
         def on_step(done: int, loss: float) -> None:
-            self._on_step("reward model", done, settings.infer.steps,
-                          f"unexplained {loss:.5f}")  # fmt: skip
+            self._on_step(f"model of {settings.by}", done, settings.steps, f"loss {loss:.5f}")
 
-        model = fit_reward_model(known, settings.infer, self._seed, on_step)
-        rewards = self._x.rewards()
         # Demonstrations do not average.
-        most = 1 if self._shows else settings.infer.tasks
-        return [
-            explain(model, read_transitions(self._x.source, ids, rewards, *box), most)
-            for ids in self._x.ids
-        ]
+        most = 1 if self._shows else settings.tasks
+        known = read_training_tasks(material)
+        return explain_all(known, steps, settings, most, self._seed, on_step)
 
     def _note(self, record: Mapping[str, Any]) -> None:
         if self._log is not None:

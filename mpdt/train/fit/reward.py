@@ -24,7 +24,7 @@ from mpdt.errors import DataError, TrainingError, check_above_zero, check_at_lea
 from mpdt.seeding import generator_at, layers_from
 from mpdt.train.fit.data import Ids, Material
 
-_CLIP = 10.0  # standard deviations; an unseen task may show what no training task did
+CLIP = 10.0  # standard deviations; an unseen task may show what no training task did
 
 
 class RewardSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -98,6 +98,15 @@ def read_training_tasks(material: Material) -> list[Transitions]:
     return tasks
 
 
+def two_hidden(inputs: int, hidden: int, outputs: int, seed: int) -> nn.Sequential:
+    """Two hidden layers; numbers of `seed`."""
+    with layers_from(seed):
+        return nn.Sequential(
+            nn.Linear(inputs, hidden), nn.GELU(),
+            nn.Linear(hidden, hidden), nn.GELU(), nn.Linear(hidden, outputs),
+        )  # fmt: skip
+
+
 class RewardModel(nn.Module):
     """inputs (T, F) -> rewards (T, N), one column per training task, behind one shared trunk."""
 
@@ -117,14 +126,10 @@ class RewardModel(nn.Module):
             ("reward_std", max(float(rewards.std(dtype=np.float64)), 1e-6)),
         ):  # fmt: skip
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32))
-        with layers_from(seed):
-            self.net = nn.Sequential(
-                nn.Linear(inputs.shape[1], hidden), nn.GELU(),
-                nn.Linear(hidden, hidden), nn.GELU(), nn.Linear(hidden, len(tasks)),
-            )  # fmt: skip
+        self.net = two_hidden(inputs.shape[1], hidden, len(tasks), seed)
 
     def forward(self, inputs: Tensor) -> Tensor:
-        seen = ((inputs - self.mean) / self.std).clamp(-_CLIP, _CLIP)
+        seen = ((inputs - self.mean) / self.std).clamp(-CLIP, CLIP)
         rewards: Tensor = self.reward_mean + self.reward_std * self.net(seen)
         return rewards
 
@@ -142,26 +147,51 @@ def fit_reward_model(
     Raises: TrainingError if the loss is no number.
     """
     model = RewardModel(tasks, settings.hidden, seed)
-    inputs = torch.from_numpy(np.concatenate([task.inputs for task in tasks]))
-    rewards = torch.from_numpy(np.concatenate([task.rewards for task in tasks]))
-    column = torch.from_numpy(np.repeat(np.arange(len(tasks)), [len(task) for task in tasks]))
+    inputs, rewards, column = together(tasks)
+
+    def loss(pick: Tensor) -> Tensor:
+        found: Tensor = model(inputs[pick]).gather(1, column[pick, None])[:, 0]
+        return ((found - rewards[pick]) / model.reward_std).square().mean()
+
+    fit_to_steps(model, loss, len(rewards), settings, seed, on_step, "the reward model")
+    return model
+
+
+def together(tasks: Sequence[Transitions]) -> tuple[Tensor, Tensor, Tensor]:
+    """The steps of all tasks one after another: inputs (T, F), rewards (T,), task numbers (T,)."""
+    return (
+        torch.from_numpy(np.concatenate([task.inputs for task in tasks])),
+        torch.from_numpy(np.concatenate([task.rewards for task in tasks])),
+        torch.from_numpy(np.repeat(np.arange(len(tasks)), [len(task) for task in tasks])),
+    )
+
+
+def fit_to_steps(
+    model: nn.Module, loss_of: Callable[[Tensor], Tensor], num_steps: int,
+    settings: RewardSettings, seed: int, on_step: Callable[[int, float], None] | None, name: str,
+) -> None:  # fmt: skip
+    """`settings.steps` updates of AdamW with a cosine; batch k is a function of (seed, k).
+
+    Args:
+        loss_of: loss of the steps with these numbers, below `num_steps`.
+        name: of the model, for the error.
+    Raises: TrainingError if the loss is no number.
+    """
     optimizer = torch.optim.AdamW(model.parameters(), lr=settings.lr, weight_decay=1e-4)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.steps)
     for step in range(settings.steps):
         generator = generator_at(seed, step)
-        pick = torch.from_numpy(generator.integers(len(rewards), size=settings.batch))
-        found = model(inputs[pick]).gather(1, column[pick, None])[:, 0]
-        loss = ((found - rewards[pick]) / model.reward_std).square().mean()
+        pick = torch.from_numpy(generator.integers(num_steps, size=settings.batch))
+        loss = loss_of(pick)
         if not torch.isfinite(loss):
-            raise TrainingError(f"the reward model's loss is {loss.item()} at step {step}",
+            raise TrainingError(f"{name}'s loss is {loss.item()} at step {step}",
                                 where="adapt.infer", hint="lower --adapt.infer.lr")  # fmt: skip
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        torch.autograd.backward(loss)
         optimizer.step()
         schedule.step()
         if on_step:
             on_step(step + 1, loss.item())
-    return model
 
 
 def convex_fit(columns: NDArray[np.float64], target: NDArray[Any]) -> NDArray[np.float64]:

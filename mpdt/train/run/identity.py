@@ -69,6 +69,7 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
         del settings["hardware"]
     # As in runs from before there was a choice.
     _drop(settings, {"began_from": None, "validation": None, "patience": 0})
+    _drop(settings["adapt"]["infer"], {"by": "rewards"})
     if "trials" not in settings["adapt"]["starts"]:  # nor what nobody asked for
         del settings["adapt"]["trials"]
     else:

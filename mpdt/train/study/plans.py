@@ -21,6 +21,7 @@ from mpdt.errors import unknown_name
 from mpdt.train.study.recipes import (
     ALL_TUNED,
     ANT_LONG,
+    BY_STEPS,
     EVERY_START,
     EXPERT,
     HIDDEN,
@@ -74,6 +75,8 @@ _ONE_BLOCK: tuple[Cell, ...] = (
     *(one("ml10", "MPDT-ones", LONG, STARTS, EXPERT, seed=seed, label="ones-long")
       for seed in (3, 4)),
     one("mt10", "MPDT-ones", LONG, {"multitask": {"steps": 9000}}, STARTS, label="ones-longer"),
+    one("mt10", "MPDT-ones", LONG, {"multitask": {"steps": 9000}}, INFER, TEST, BY_STEPS,
+        label="ones-longer-by-steps"),
     # Its weights again: few-shot that tunes the map and the head as well.
     *(one("ml10", "MPDT-ones", LONG, ALL_TUNED, TEST, seed=seed, label="few-shot-all")
       for seed in (0, 1, 2, 3, 4)),
@@ -175,6 +178,9 @@ _FIFTY: tuple[Cell, ...] = (
     # Its weights again, with the nearest task's prompt alone.
     _fifty("mt50", "MPDT-ones", {"multitask": {"steps": 16500}}, INFER, TEST,
            {"adapt": {"infer": {"tasks": 1}}}, label="ones-longer-nearest"),
+    # And with X told by its steps, not by its rewards alone (0010).
+    _fifty("mt50", "MPDT-ones", {"multitask": {"steps": 16500}}, INFER, TEST, BY_STEPS,
+           label="ones-longer-by-steps"),
 )  # fmt: skip
 
 

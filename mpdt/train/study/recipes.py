@@ -67,6 +67,7 @@ EVERY_START = {"adapt": {"starts": ["cross", "cross_mean", "cross_one", "cross_r
 EXPERT = {"few_shot": {"qualities": ["expert"]}}
 LEVELS = {"few_shot": {"qualities": ["expert", "medium", "random", "mixed"]}}
 TWO = {"adapt": {"infer": {"tasks": 2}}}
+BY_STEPS = {"adapt": {"infer": {"by": "steps"}}}
 TEST = {"evaluation": {"blocks": ["test"]}}
 ALL_TUNED = {"few_shot": {"qualities": ["expert"], "tuned": "all", "updates": 300},
               "adapt": {"starts": ["none"]}}  # fmt: skip

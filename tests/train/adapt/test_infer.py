@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from mpdt.train.adapt.infer import explain
+from mpdt.train.adapt.infer import InferSettings, explain, explain_all, recognise
+from mpdt.train.fit.classifier import TaskClassifier, fit_task_classifier
 from mpdt.train.fit.reward import RewardSettings, Transitions, fit_reward_model
 
 QUICK = RewardSettings(hidden=32, steps=400, batch=128, lr=1e-2)
@@ -38,3 +39,59 @@ def test_a_trained_goal_is_found_and_can_be_held_out(model):
     held_out = explain(model, x, tasks=2, banned=[0])
     assert held_out.weights[0] == 0 and held_out.weights[1] > 0.8
     assert explain(model, x, tasks=2, banned=[0, 1]).weights.tolist() == [0, 0, 1]
+
+
+def scenes(place, seed, num=400):
+    """An object stands at `place`; all pay nothing."""
+    generator = np.random.Generator(np.random.PCG64(seed))
+    inputs = generator.normal(place, 0.5, (num, 3)).astype(np.float32)
+    return Transitions(inputs, np.zeros(num, np.float32))
+
+
+def test_scenes_are_told_by_steps_where_rewards_say_nothing():
+    known, x = [scenes(place, i) for i, place in enumerate((0, 2, 4))], scenes(2, 9)
+    settings = {"hidden": 32, "steps": 200, "batch": 128, "lr": 1e-2}
+    by_steps = explain_all(known, [x], InferSettings(by="steps", **settings), 2, 0)[0]
+    assert by_steps.weights.argmax() == by_steps.errors.argmin() == 1
+    assert by_steps.weights[1] > 0.9 and np.count_nonzero(by_steps.weights) == 2
+    by_rewards = explain_all(known, [x], InferSettings(**settings), 3, 0)[0]
+    assert np.ptp(by_rewards.errors) < 1e-3  # each explains nothing equally well
+
+
+def test_where_all_see_the_same_rewards_tell():
+    """One task's states are another's; the classifier has the rewards to go by."""
+    known = [speeds(goal, i) for i, goal in enumerate((1, 2, 3))]
+    settings = InferSettings(by="steps", hidden=32, steps=400, batch=128, lr=1e-2)
+    assert explain_all(known, [speeds(3, 9)], settings, 1, 0)[0].weights.tolist() == [0, 0, 1]
+
+
+def test_shares_as_a_loop_counts_them():
+    """Probabilities of each step on its own, summed one after another."""
+    known = [scenes(place, i) for i, place in enumerate((0, 0.5, 1))]
+    classifier = fit_task_classifier(known, QUICK, seed=0)
+    x, share, nats = scenes(0.4, 9, num=20), np.zeros(3), np.zeros(3)
+    with torch.no_grad():
+        for inputs, reward in zip(x.inputs, x.rewards, strict=True):
+            row = np.concatenate([inputs, [reward]]).astype(np.float32)
+            seen = torch.from_numpy(row).sub(classifier.mean).div(classifier.std)
+            logits = classifier.net(seen).double().numpy()
+            share += np.exp(logits) / np.exp(logits).sum() / 20
+            nats -= (logits - np.log(np.exp(logits).sum())) / 20
+    found = recognise(classifier, x, tasks=3)
+    np.testing.assert_allclose(found.weights, share, rtol=1e-5)
+    np.testing.assert_allclose(found.errors, nats, rtol=1e-5)
+    two = recognise(classifier, x, tasks=2).weights
+    assert two[share.argmin()] == 0 and two.sum() == pytest.approx(1)
+    assert two[share.argmax()] == pytest.approx(share.max() / (1 - share.min()), rel=1e-5)
+
+
+def test_the_classifier_is_a_function_of_its_seed_and_bears_what_stands_still():
+    known = [scenes(0, 0, 8), scenes(1, 1, 8)]
+    few = RewardSettings(hidden=4, steps=3, batch=8)
+    x = (torch.from_numpy(known[0].inputs), torch.from_numpy(known[0].rewards))
+    first, again, other = (fit_task_classifier(known, few, seed)(*x) for seed in (1, 1, 2))
+    assert torch.equal(first, again) and not torch.equal(first, other)
+    still = Transitions(np.ones((4, 3), np.float32), np.ones(4, np.float32))
+    classifier = TaskClassifier([still, still], 4, 0)
+    far = classifier(torch.full((1, 3), 1e9), torch.ones(1)).detach()
+    assert torch.isfinite(far).all() and far.exp().sum() == pytest.approx(1)

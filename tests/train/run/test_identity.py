@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from mpdt.data.reference import REFERENCE_POLICIES
+from mpdt.train.adapt.align import AdaptSettings
+from mpdt.train.adapt.infer import InferSettings
 from mpdt.train.fit.data import load_material
 from mpdt.train.fit.reward import RewardSettings
 from mpdt.train.run.config import TrainConfig, to_plain
@@ -106,7 +108,7 @@ OTHERS = {
     "prompts.task_init": "ones", "sampler.order": "sequential", "optimiser.schedule": "cosine",
     "teacher.distillation": "none", "statistics.source": "random", "statistics.axes": "position",
     "adapt.starts": ("none",), "adapt.layers": (0,), "adapt.returns": "decrement",
-    "adapt.target": "training", "adapt.infer": RewardSettings(tasks=3), "prompts.kind": "shared",
+    "adapt.target": "training", "adapt.infer": InferSettings(tasks=3), "prompts.kind": "shared",
     "evaluation.blocks": ("test",), "mixing.model": RewardSettings(tasks=3),
     "hardware.device": "cuda", "hardware.autocast": "bfloat16", "hardware.compile": "eager",
     "few_shot.qualities": ("expert",), "few_shot.start": "cross_mean", "few_shot.tuned": "all",
@@ -175,3 +177,10 @@ def test_one_and_one_point_zero_are_one_setting(material):
         msgspec.structs.replace(TrainConfig(), target_quantile=value) for value in (1, 1.0)
     )
     assert not changed(whole, material, real, material)
+
+
+def test_runs_from_before_tasks_could_be_told_by_steps_are_who_they_were():
+    assert "by" not in plain_settings(TrainConfig())["adapt"]["infer"] == InferSettings().facts
+    by_steps = TrainConfig(adapt=AdaptSettings(infer=InferSettings(by="steps")))
+    assert plain_settings(by_steps)["adapt"]["infer"] == by_steps.adapt.infer.facts
+    assert by_steps.adapt.infer.facts["by"] == "steps"

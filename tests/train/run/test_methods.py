@@ -197,17 +197,17 @@ def test_the_donor_is_the_task_whose_demonstration_imitates_best(tiny_file, tmp_
 
 
 def test_demonstrations_are_not_mixed_whatever_is_asked(tiny_file, tmp_path, monkeypatch):
-    asked, real = [], unseen.explain
+    asked, real = [], unseen.explain_all
 
-    def watched(model, x, tasks):
-        asked.append(tasks)
-        return real(model, x, tasks)
+    def watched(known, xs, settings, most, *rest):
+        asked.append((settings.by, len(xs), most))
+        return real(known, xs, settings, most, *rest)
 
-    monkeypatch.setattr(unseen, "explain", watched)
-    for method in ("Prompt-DT-infer", "MPDT-mixed"):
-        changes = {"adapt": {"starts": ["infer"], "infer": {"tasks": 2}}}
+    monkeypatch.setattr(unseen, "explain_all", watched)
+    for method, by in (("Prompt-DT-infer", "rewards"), ("MPDT-mixed", "steps")):
+        changes = {"adapt": {"starts": ["infer"], "infer": {"tasks": 2, "by": by}}}
         run(merged(tiny(method), changes), tiny_file, tmp_path / method)
-    assert asked == [1, 1, 2, 2]
+    assert asked == [("rewards", 2, 1), ("steps", 2, 2)]
 
 
 def test_a_teacher_of_no_updates_still_teaches(tiny_file, tmp_path):

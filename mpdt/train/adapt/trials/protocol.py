@@ -99,7 +99,7 @@ def trial_results(
     acting = fingerprint(trained.policy, trained.prompts.task_prompts().detach(), trained.returns,
                          window)  # fmt: skip
     facts = [acting.hex(), horizon, seed, material.dataset.content_hash, adapt.set,
-             adapt.episodes, msgspec.to_builtins(adapt.infer)]  # fmt: skip
+             adapt.episodes, adapt.infer.facts]  # fmt: skip
     n = len(material.test_rows)
     for row in dict.fromkeys(settings.rows):
         known = Known([None] * n, [()] * n)
