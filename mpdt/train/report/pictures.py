@@ -1,7 +1,8 @@
 """Pictures of a study as SVG files: what every method earns, what was lost on the way, prompts.
 
 DATA-tasks.svg        mean over the test tasks of every row, coloured by what was read
-DATA-each-task.svg    every test task: the trivial rows, and of each kind of reading the best
+DATA-each-task.svg    every test task: the trivial rows, and of each kind of reading the best; a row
+                      of dots for each where there are many
 DATA-trials.svg       return and success over the number of own episodes, a line per row
 DATA-training.svg     action loss, one chart per method, its seeds thin and their mean thick
 DATA-adaptation.svg   alignment loss likewise, one chart per method and start
@@ -11,7 +12,7 @@ DATA-prompts.svg      maps of P_c and the first P_k of one cell
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from mpdt.train.study.maps import KEPT, map_pixels, prompt_maps
 from mpdt.train.study.protocols import split_own
 from mpdt.train.study.summary import Row, best_of_each, summarise, task_intervals
 
+MANY_TASKS = 12
 WIDE, LETTERS = 720, 48  # names are written out: nothing is told by pointing at a linked picture
 COLOURS = {
     "nothing": "c3", "task id": "c6", "X": "c0", "X+rewards": "c2", "labelled steps": "c1",
@@ -98,10 +100,28 @@ def _each_task(data: str, cells: Sequence[CellResult]) -> Sheet:
         task: [(row.method, _dot(row, *known[row.method])) for row in rows if row.method in known]
         for task, known in task_intervals(cells, "test").items()
     }
-    axis = _axis([dot for named in of_task.values() for _, dot in named], "return, 95 % interval")
     title = f"{data}: every unseen task, of each kind of reading the best"
-    charts = [_bars(task, named, axis) for task, named in of_task.items() if named]
+    of_task = {task: named for task, named in of_task.items() if named}
+    if len(of_task) > MANY_TASKS:
+        return Sheet(title, [_a_row_each(of_task)], _legend(rows))
+    axis = _axis([dot for named in of_task.values() for _, dot in named], "return, 95 % interval")
+    charts = [_bars(task, named, axis) for task, named in of_task.items()]
     return Sheet(title, charts, _legend(rows))
+
+
+def _a_row_each(of_task: Mapping[str, Sequence[tuple[str, Dot]]]) -> Chart:
+    """Dots alone: intervals of so many would hide each other. Where the best is worst is last."""
+    dots = {task: [replace(dot, low=math.nan, high=math.nan) for _, dot in named]
+            for task, named in of_task.items()}  # fmt: skip
+    order = sorted(dots, key=lambda task: -max(_policies(dots[task]), default=0.0))
+    axis = axis_over([0.0, *(dot.value for row in dots.values() for dot in row
+                             if math.isfinite(dot.value))], "return")  # fmt: skip
+    drawn = row_chart("", [(task, dots[task]) for task in order], axis)
+    return replace(drawn, width=WIDE, letters=LETTERS)
+
+
+def _policies(dots: Iterable[Dot]) -> list[float]:
+    return [dot.value for dot in dots if dot.key != REFERENCE and math.isfinite(dot.value)]
 
 
 def _axis(dots: Iterable[Dot], label: str) -> Axis:

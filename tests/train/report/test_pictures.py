@@ -129,3 +129,19 @@ def test_prompts_of_other_kinds_have_no_maps(tmp_path):
     save_weights(path, {"prompts.cross": torch.ones(3, 4)}, WeightsHeader(kind="mpdt"))
     assert draw_prompts(path, tmp_path) == []
     assert not keep_prompts(path, tmp_path / "kept") and not (tmp_path / "kept").exists()
+
+
+def test_of_many_tasks_each_is_a_row_of_dots(tmp_path):
+    """Thirteen: task k returns k, so the last one is first; the mean is no task."""
+    scores = tuple(
+        Score(block="test", task=task, method=method, mean=mean, low=mean - 1, high=mean + 1,
+              normalised=mean, success=None, reads=reads)
+        for method, reads in (("random", None), ("m infer", "X+rewards"))
+        for task, mean in [(f"t{k:02}", float(k)) for k in range(13)] + [(MEAN, 6.0)]
+    )  # fmt: skip
+    made = draw_study([CellResult("d", "m", 0, scores, {})], tmp_path)
+    (path,) = [path for path in made if path.name == "d-each-task.svg"]
+    classes, texts = drawn(path)
+    tasks = [text for text in dict.fromkeys(texts) if text[0] == "t" and text[1:].isdigit()]
+    assert tasks == [f"t{k:02}" for k in range(12, -1, -1)]
+    assert classes.count("k-c2") == 13 + 1 and "<polyline" not in path.read_text(), "no intervals"
