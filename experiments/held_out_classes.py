@@ -30,9 +30,10 @@ from mpdt.draw.table import markdown_table
 from mpdt.errors import MpdtError
 from mpdt.model.prompts import AdaptedPrompts
 from mpdt.seeding import phase_seed
-from mpdt.train.adapt.infer import explain
+from mpdt.train.adapt.infer import explain, recognise
 from mpdt.train.evaluate.controller import PromptController
 from mpdt.train.evaluate.rollout import SimulatorCache, evaluate
+from mpdt.train.fit.classifier import TaskClassifier, fit_task_classifier
 from mpdt.train.fit.reward import (
     RewardModel,
     Transitions,
@@ -42,11 +43,14 @@ from mpdt.train.fit.reward import (
 )
 
 NEAREST = (1, 2, 4, 8)
+LIKE = (1, 2, 4)
 SHARES = (0.5, 0.75, 0.9)
 TEMPERATURES = (0.05, 0.1, 0.2, 0.4)
 
 
-def ways(model: RewardModel, x: Transitions) -> dict[str, NDArray[np.float64]]:
+def ways(
+    model: RewardModel, classifier: TaskClassifier, x: Transitions
+) -> dict[str, NDArray[np.float64]]:
     """Weights (N,) of the training tasks by name of the way."""
     explained = {most: explain(model, x, most) for most in NEAREST}
     two, errors = explained[2].weights, explained[2].errors
@@ -57,6 +61,8 @@ def ways(model: RewardModel, x: Transitions) -> dict[str, NDArray[np.float64]]:
     for temperature in TEMPERATURES:
         far = -(errors - errors.min()) / (temperature * x.rewards.std() + 1e-9)
         found[f"softmax at {temperature:g}"] = np.exp(far) / np.exp(far).sum()
+    for most in (*LIKE, len(errors)):
+        found[f"{most} most like its steps"] = recognise(classifier, x, most).weights
     return found
 
 
@@ -99,15 +105,15 @@ def judge(config: Any, trained: Any, episodes: int) -> dict[str, dict[str, list[
     """Per way the mean return and the share of successes of every task left out."""
     material, family = trained.material, trained.material.family
     dataset, box = material.dataset, (family.action_low, family.action_high)
-    model = fit_reward_model(
-        read_training_tasks(material), config.adapt.infer, phase_seed(config.seed, "adapt")
-    )
+    known, seed = read_training_tasks(material), phase_seed(config.seed, "adapt")
+    model = fit_reward_model(known, config.adapt.infer, seed)
+    classifier = fit_task_classifier(known, config.adapt.infer, seed)
     tasks = material.tasks(material.test_rows)
     mixed: dict[str, list[NDArray[np.float64]]] = {}
     for row in material.test_rows:
         ids = dataset.select(task=row, quality="random")[:X_EPISODES]
         x = read_transitions(dataset, ids, dataset.steps.rewards, *box)
-        for name, weights in ways(model, x).items():
+        for name, weights in ways(model, classifier, x).items():
             mixed.setdefault(name, []).append(weights)
     returns = trained.returns.pooled([family.return_target] * len(tasks))
     found, cache = {}, SimulatorCache()

@@ -87,8 +87,9 @@ def read_contents(folder: Path) -> Contents:
     config = read_config(folder)
     _bytes(folder / CARD, config.files[CARD])
     path = folder / MODEL
+    written = _bytes(path, config.files[MODEL])
     try:
-        tensors = load(_bytes(path, config.files[MODEL]))
+        tensors = load(written)
     except (SafetensorError, ValueError, KeyError) as error:
         raise FormatError("not a safetensors file", where=str(path), found=str(error),
                           hint=_ANOTHER) from error  # fmt: skip

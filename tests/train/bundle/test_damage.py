@@ -42,6 +42,16 @@ def changed(bundle, tmp_path, change):
     return folder
 
 
+def test_a_changed_byte_is_told_once(bundle, tmp_path):
+    folder = shutil.copytree(bundle, tmp_path / "changed")
+    written = bytearray((folder / "model.safetensors").read_bytes())
+    written[-1] ^= 1
+    (folder / "model.safetensors").write_bytes(written)
+    with pytest.raises(FormatError, match="not what was written") as caught:
+        read_contents(folder)
+    assert str(caught.value).count("model.safetensors") == 1
+
+
 @pytest.mark.parametrize(("change", "kind", "text"), [
     (lambda c: c.update(format="mpdt-policy/2"), FormatError, "another version"),
     (lambda c: c["family"].update(name="cheetah_dire"), UsageError, "not known here.*cheetah_dir"),
