@@ -1,11 +1,12 @@
-"""How many training tasks should share the weight where the unseen goals are of tasks it knows?
+"""Are tasks that were trained on told apart, and how many should share the weight?
 
-    python experiments/known_tasks.py RUN --data FILE [--by rewards steps] [--tasks 1 2]
+    python experiments/known_tasks.py FILE [--run RUN] [--by rewards steps] [--tasks 1 2]
         [--episodes 3] [--json F]
 
-For mt10 and mt50, asked of training goals: a model is fitted on every other random episode of each
-task, the others are then explained by it, the task itself among the candidates, and the mixtures
-that come out act on training goals. Held-out goals are not touched.
+Asked of training tasks: a model is fitted on every other random episode of each, the others are
+then explained by it, the task itself among the candidates. With a trained RUN, whose settings
+count, the mixtures that come out act: for mt10 and mt50, on training goals. Nothing held out is
+touched.
 """
 
 from __future__ import annotations
@@ -15,68 +16,92 @@ import json
 import sys
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from trained import SEED, judged_behind, open_run
 
 from mpdt.draw.table import markdown_table
 from mpdt.errors import MpdtError
 from mpdt.seeding import phase_seed
-from mpdt.train.adapt.infer import explain_all
-from mpdt.train.fit.reward import read_transitions
+from mpdt.train.adapt.infer import InferSettings, explain, recognise
+from mpdt.train.fit.classifier import fit_task_classifier
+from mpdt.train.fit.data import Material, load_material
+from mpdt.train.fit.reward import fit_reward_model, read_transitions
+
+COLUMNS = {"own_weight": ".2f", "own_most": ".0%", "mean_return": ",.1f", "success": ".1%"}
 
 
-def asked_of(
-    run: Path, data: str, ways: list[str], most: list[int], episodes: int
-) -> dict[str, dict[str, float]]:
-    """Per way and number of tasks: what the own task weighs, how often most, return, success."""
-    config, trained = open_run(run, data)
-    material, dataset = trained.material, trained.material.dataset
-    box = (material.family.action_low, material.family.action_high)
+def told(
+    material: Material, infer: InferSettings, seed: int, ways: list[str], most: list[int]
+) -> dict[str, NDArray[np.float64]]:
+    """Per way and number of tasks the weights (N, N), a row for each task that is asked."""
+    dataset, family = material.dataset, material.family
     fitted, asked = (
         [read_transitions(dataset, dataset.select(task=row, quality="random")[half::2],
-                          dataset.steps.rewards, *box) for row in material.train_rows]
+                          dataset.steps.rewards, family.action_low, family.action_high)
+         for row in material.train_rows]
         for half in (0, 1)
     )  # fmt: skip
-    weights = {}
-    for by in ways:
-        settings = msgspec.structs.replace(config.adapt.infer, by=by)
-        for tasks in most:
-            found = explain_all(fitted, asked, settings, tasks, phase_seed(config.seed, "adapt"))
-            weights[f"{by}, {tasks}"] = np.stack([one.weights for one in found])
+    found = {}
+    if "rewards" in ways:
+        model = fit_reward_model(fitted, infer, seed)
+        found |= {f"rewards, {n}": [explain(model, x, n) for x in asked] for n in most}
+    if "steps" in ways:
+        classifier = fit_task_classifier(fitted, infer, seed)
+        found |= {f"steps, {n}": [recognise(classifier, x, n) for x in asked] for n in most}
+    return {name: np.stack([one.weights for one in own]) for name, own in found.items()}
+
+
+def facts(weights: NDArray[np.float64]) -> dict[str, float]:
+    """What the own task weighs, and how often it weighs most."""
+    most = weights.argmax(axis=1) == np.arange(len(weights))
+    return {"own_weight": float(weights.diagonal().mean()), "own_most": float(most.mean())}
+
+
+def judged(
+    run: Path, data: str, ways: list[str], most: list[int], episodes: int
+) -> dict[str, dict[str, float]]:
+    """The same with what the mixtures earn."""
+    config, trained = open_run(run, data)
+    seed = phase_seed(config.seed, "adapt")
+    weights = told(trained.material, config.adapt.infer, seed, ways, most)
     mixtures = {name: torch.from_numpy(own).float() for name, own in weights.items()}
     return {
-        name: {
-            "own_weight": float(weights[name].diagonal().mean()),
-            "own_most": float((weights[name].argmax(axis=1) == np.arange(len(asked))).mean()),
-            "mean_return": float(judged.returns.mean()),
-            "success": float("nan") if judged.successes is None else float(judged.successes.mean()),
+        name: facts(weights[name]) | {
+            "mean_return": float(acted.returns.mean()),
+            "success": float("nan") if acted.successes is None else float(acted.successes.mean()),
         }
-        for name, judged in judged_behind(config, trained, mixtures, episodes)
-    }
+        for name, acted in judged_behind(config, trained, mixtures, episodes)
+    }  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--data", required=True)
+    parser.add_argument("data")
+    parser.add_argument("--run", type=Path)
     parser.add_argument("--by", nargs="+", default=["rewards", "steps"])
     parser.add_argument("--tasks", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--episodes", type=int, default=3)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
+    torch.set_num_threads(1)
     try:
-        found = asked_of(args.run, args.data, args.by, args.tasks, args.episodes)
+        if args.run:
+            found = judged(args.run, args.data, args.by, args.tasks, args.episodes)
+        else:
+            material, seed = load_material(args.data, "auto"), phase_seed(0, "adapt")
+            weights = told(material, InferSettings(), seed, args.by, args.tasks)
+            found = {name: facts(own) for name, own in weights.items()}
     except MpdtError as error:
         sys.exit(error.render())
-    rows = [(name, f"{one['own_weight']:.2f}", f"{one['own_most']:.0%}",
-             f"{one['mean_return']:,.1f}", f"{one['success']:.1%}")
+    columns = [name for name in COLUMNS if name in next(iter(found.values()))]
+    rows = [[name, *(format(one[column], COLUMNS[column]) for column in columns)]
             for name, one in found.items()]  # fmt: skip
-    columns = ("by, tasks mixed", "own weight", "own the largest", "mean return", "success")
-    print(markdown_table(columns, rows))
+    print(markdown_table(["by, tasks mixed", *columns], rows))
     if args.json:
-        content = {"run": args.run.name, "episodes": args.episodes, "seed": SEED, "asked": found}
+        acted = {"run": args.run.name, "episodes": args.episodes, "seed": SEED} if args.run else {}
+        content = {"data": Path(args.data).name, **acted, "asked": found}
         args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 

@@ -108,13 +108,15 @@ def native_bfloat16() -> bool:
 def fast_bfloat16() -> bool:
     """Whether this processor is faster with products of bfloat16 than of float32.
 
-    Intel's since Sapphire Rapids are so with their tile units alone; a cloud may hide these, and
-    what is left takes half as long again as float32 does (0045). These are the ones with products
-    of float16, which AMD's have not. The timing itself is not asked: bytes would hang on it.
+    Intel's processors since Sapphire Rapids, those with float16 products, need their tile units for
+    that; a cloud may hide these, and what is left is slower than float32 (0045). Nothing is timed:
+    equal machines have to answer equally, busy or not.
     """
     if torch.cpu._is_amx_tile_supported():
         return True
-    return native_bfloat16() and not torch.cpu.get_capabilities().get("avx512_fp16", False)
+    able = torch.cpu.get_capabilities()
+    intel = str(able.get("cpu_name", "")).startswith("Intel")
+    return native_bfloat16() and not (intel and able.get("avx512_fp16", False))
 
 
 def _blocks(config: Any, name: str) -> int:

@@ -111,21 +111,25 @@ def test_missing_wheel_says_how_to_install(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize(
-    ("processor", "bfloat16", "fp16", "tiles", "dtype"),
+    ("name", "bfloat16", "fp16", "tiles", "dtype"),
     [
-        ("AMD Zen 4, Cooper Lake", True, False, False, torch.bfloat16),
-        ("Sapphire Rapids", True, True, True, torch.bfloat16),
-        ("Sapphire Rapids, tiles hidden", True, True, False, torch.float32),
+        ("AMD EPYC", True, False, False, torch.bfloat16),
+        ("AMD of a later kind", True, True, False, torch.bfloat16),
+        ("Intel Cooper Lake", True, False, False, torch.bfloat16),
+        ("Intel Sapphire Rapids", True, True, True, torch.bfloat16),
+        ("Intel Sapphire Rapids with hidden tiles", True, True, False, torch.float32),
         ("none of it", False, False, False, torch.float32),
     ],
 )
 def test_auto_is_the_faster_type(
-    processor: str, bfloat16: bool, fp16: bool, tiles: bool, dtype: torch.dtype,
+    name: str, bfloat16: bool, fp16: bool, tiles: bool, dtype: torch.dtype,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     monkeypatch.setattr(torch.cpu, "_is_avx512_bf16_supported", lambda: bfloat16)
     monkeypatch.setattr(torch.cpu, "_is_amx_tile_supported", lambda: tiles)
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_fp16": fp16})
-    assert language.pick_dtype("auto") == dtype, processor
-    for name in ("float32", "bfloat16"):
-        assert language.pick_dtype(name) == getattr(torch, name)
+    monkeypatch.setattr(
+        torch.cpu, "get_capabilities", lambda: {"avx512_fp16": fp16, "cpu_name": name}
+    )
+    assert language.pick_dtype("auto") == dtype
+    assert language.pick_dtype("float32") == torch.float32
+    assert language.pick_dtype("bfloat16") == torch.bfloat16

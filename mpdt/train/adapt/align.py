@@ -114,7 +114,7 @@ class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     @property
     def explains(self) -> bool:
-        """Whether a reward model is made, of the training tasks' random episodes."""
+        """Whether a model is made of the training tasks' random episodes, to tell tasks by."""
         trials = self.trials
         return self.infers or (self.tries and trials.infer == "rewards" and "alone" in trials.rows)
 

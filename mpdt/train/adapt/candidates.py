@@ -34,7 +34,7 @@ from mpdt.train.adapt.align import (
     returns_of_test_tasks,
 )
 from mpdt.train.adapt.few_shot import FewShotSettings, choose_steps, tune
-from mpdt.train.adapt.infer import Explanation, explain_all
+from mpdt.train.adapt.infer import MODELS, Explanation, explain_all
 from mpdt.train.adapt.statistics import LayerStatistics, StatisticsSettings, source_statistics
 from mpdt.train.adapt.trials.protocol import trial_results
 from mpdt.train.evaluate.controller import PerTaskController, PromptController, TrainedActor
@@ -259,8 +259,8 @@ class Candidates:
             found = self._explanations()
             names = [self._material.dataset.tasks.names[row] for row in self._material.train_rows]
             for row, own in zip(self._rows, found, strict=True):
-                task = self._material.dataset.tasks.names[row]
-                self._note({"phase": "infer", "task": task, "weights": own.named(names),
+                self._note({"phase": "infer", "task": self._material.dataset.tasks.names[row],
+                            "by": self._config.adapt.infer.by, "weights": own.named(names),
                             "error": float(own.errors.min())})  # fmt: skip
             stacked = np.stack([own.weights for own in found])
             self._weights = torch.from_numpy(stacked).to(torch.float32)
@@ -275,7 +275,7 @@ class Candidates:
         steps = [read_transitions(self._x.source, ids, rewards, *box) for ids in self._x.ids]
 
         def on_step(done: int, loss: float) -> None:
-            self._on_step(f"model of {settings.by}", done, settings.steps, f"loss {loss:.5f}")
+            self._on_step(MODELS[settings.by], done, settings.steps, f"unexplained {loss:.5f}")
 
         # Demonstrations do not average.
         most = 1 if self._shows else settings.tasks

@@ -41,9 +41,10 @@ class InferSettings(RewardSettings, frozen=True, forbid_unknown_fields=True, kw_
     """The model that is asked which training tasks X looks like, and how many may be mixed."""
 
     by: Literal["rewards", "steps"] = "rewards"
-    """rewards: the tasks whose rewards explain those of X. steps: the tasks whose whole steps
-    (observation, action, change, reward) X's look like, for unseen goals of known classes; as many
-    updates of a classifier. X with its rewards is read both times."""
+    """What of X tells: rewards = the tasks that pay as it was paid, by the reward model; steps =
+    the tasks whose steps (observation, action, change, reward) its steps look like, by a classifier
+    of the same size: for unseen goals of known classes. X is read with its rewards both times. Own
+    episodes without X are told by rewards."""
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -52,6 +53,10 @@ class InferSettings(RewardSettings, frozen=True, forbid_unknown_fields=True, kw_
         if self.by == "rewards":
             del found["by"]
         return found
+
+
+MODELS = {"rewards": "reward model", "steps": "task classifier"}
+"""What is asked, by what of X tells."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
     random episodes of the training tasks  ─>  (s, a, s' - s, r) -> one probability per task
 
 Where tasks differ in what is seen, as the classes of Meta-World do, this tells them apart better
-than what they pay; where they differ in the reward alone, as goals do, worse (decision 0010).
+than what they pay (decision 0010).
 """
 
 from __future__ import annotations
@@ -41,10 +41,13 @@ class TaskClassifier(nn.Module):
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32))
         self.net = two_hidden(seen.shape[1], hidden, len(tasks), seed)
 
-    def forward(self, inputs: Tensor, rewards: Tensor) -> Tensor:
+    def logits(self, inputs: Tensor, rewards: Tensor) -> Tensor:
         seen = torch.cat([inputs, rewards[:, None]], dim=1)
-        logits: Tensor = self.net(((seen - self.mean) / self.std).clamp(-CLIP, CLIP))
-        return logits.log_softmax(dim=1)
+        found: Tensor = self.net(((seen - self.mean) / self.std).clamp(-CLIP, CLIP))
+        return found
+
+    def forward(self, inputs: Tensor, rewards: Tensor) -> Tensor:
+        return self.logits(inputs, rewards).log_softmax(dim=1)
 
 
 def fit_task_classifier(
@@ -55,15 +58,20 @@ def fit_task_classifier(
 ) -> TaskClassifier:
     """Train it to name the task of every step; batches are a function of (seed, step).
 
+    A task with many episodes is not likelier for that: how often each is drawn is added in the
+    loss and left out when the classifier is asked (logit adjustment, Menon et al. 2021, eq. 10).
+
     Args:
         on_step: called with (updates done, cross-entropy in nats).
     Raises: TrainingError if the loss is no number.
     """
     model = TaskClassifier(tasks, settings.hidden, seed)
     inputs, rewards, column = together(tasks)
+    drawn = torch.bincount(column, minlength=len(tasks)).double().log().float()
 
     def loss(pick: Tensor) -> Tensor:
-        return nn.functional.nll_loss(model(inputs[pick], rewards[pick]), column[pick])
+        logits = model.logits(inputs[pick], rewards[pick]) + drawn
+        return nn.functional.cross_entropy(logits, column[pick])
 
     fit_to_steps(model, loss, len(rewards), settings, seed, on_step, "the task classifier")
     return model

@@ -36,7 +36,7 @@ class RewardSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     hidden: int = 128
     """Width of the two hidden layers."""
     steps: int = 3000
-    """Updates of the reward model."""
+    """Updates of that model."""
     batch: int = 1024
     """Transitions per update."""
     lr: float = 2e-3

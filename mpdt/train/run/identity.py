@@ -63,13 +63,14 @@ def identify(config: TrainConfig, plain: Mapping[str, Any], material: Material) 
 def plain_settings(config: TrainConfig) -> dict[str, Any]:
     """What of a configuration counts, as JSON values."""
     # The round trip makes 1 and 1.0 of a float setting one.
-    settings = to_plain(from_plain(to_plain(config)))
+    config = from_plain(to_plain(config))
+    settings = to_plain(config)
     # What plain hardware does belongs to runs from before there was a choice, too.
     if settings["hardware"] == to_plain(TrainConfig())["hardware"]:
         del settings["hardware"]
     # As in runs from before there was a choice.
     _drop(settings, {"began_from": None, "validation": None, "patience": 0})
-    _drop(settings["adapt"]["infer"], {"by": "rewards"})
+    settings["adapt"]["infer"] = config.adapt.infer.facts
     if "trials" not in settings["adapt"]["starts"]:  # nor what nobody asked for
         del settings["adapt"]["trials"]
     else:

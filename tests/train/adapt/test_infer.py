@@ -102,3 +102,12 @@ def test_what_no_training_task_showed_counts_as_ten_standard_deviations():
     seen = torch.tensor([[9.0], [10.0], [1e6]])
     near, edge, far = TaskClassifier(known, 4, 0)(seen, torch.zeros(3))
     assert not torch.equal(near, edge) and torch.equal(edge, far)
+
+
+def test_many_episodes_make_no_task_likelier():
+    """Two tasks that overlap, one with twenty times the steps; asked is one in between."""
+    known = [scenes(0, 0, num=2000), scenes(0.4, 1, num=100)]
+    settings = InferSettings(by="steps", hidden=16, steps=400, batch=256, lr=3e-3)
+    found = explain_all(known, [scenes(0.2, 9), scenes(0.4, 8)], settings, 2, 0)
+    assert found[0].weights == pytest.approx([0.5, 0.5], abs=0.15)
+    assert found[1].weights.argmax() == 1

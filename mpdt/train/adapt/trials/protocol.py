@@ -28,6 +28,7 @@ from mpdt.model.fingerprint import fingerprint
 from mpdt.model.returns import ReturnTable
 from mpdt.seeding import phase_seed
 from mpdt.train.adapt.align import AdaptationSet, AdaptSettings
+from mpdt.train.adapt.infer import InferSettings
 from mpdt.train.adapt.trials.inside import make_inside, plans
 from mpdt.train.adapt.trials.lived import Stretch, stretches_of
 from mpdt.train.adapt.trials.schedule import Ground, TaskTrials
@@ -99,7 +100,7 @@ def trial_results(
     acting = fingerprint(trained.policy, trained.prompts.task_prompts().detach(), trained.returns,
                          window)  # fmt: skip
     facts = [acting.hex(), horizon, seed, material.dataset.content_hash, adapt.set,
-             adapt.episodes, adapt.infer.facts]  # fmt: skip
+             adapt.episodes]  # fmt: skip
     n = len(material.test_rows)
     for row in dict.fromkeys(settings.rows):
         known = Known([None] * n, [()] * n)
@@ -107,10 +108,17 @@ def trial_results(
             assert x is not None
             known = Known([own[None] for own in inferred()], _shown(x, material.family))
         ground = Ground(trained, inside, settings, window, horizon, tasks,
-                        _hash(settings, row, facts), rewards)  # fmt: skip
+                        _hash(settings, row, [*facts, _told(adapt.infer, row)]),
+                        rewards)  # fmt: skip
         found = _all_trials(ground, row, returns, known, on_step, folder)
         for count in sorted(set(settings.episodes)):
             yield _result(ground, row, count, returns, found)
+
+
+def _told(infer: InferSettings, row: TrialRow) -> dict[str, Any]:
+    """What counts of how X tells; rows without X are told by rewards, whatever is asked of X."""
+    asked = infer if row == "with_x" else msgspec.structs.replace(infer, by="rewards")
+    return asked.facts
 
 
 def _shown(x: AdaptationSet, family: Family) -> list[list[Stretch]]:

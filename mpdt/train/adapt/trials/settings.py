@@ -96,7 +96,7 @@ class TrialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     plans, of one round of their tour."""
     infer: Literal["rewards", "world"] = "rewards"
     """Which model is asked for the training tasks that explain what the first trial was paid: the
-    reward model of `adapt.infer`, or the world model's reward heads."""
+    reward model, as large as `adapt.infer` says, or the world model's reward heads."""
     search: Literal["climb", "plan"] = "climb"
     """What further trials are where the simulator has no successes: mixtures of prompts near the
     best one, or a planner's (they have one where there are successes)."""

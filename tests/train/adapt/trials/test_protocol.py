@@ -13,8 +13,8 @@ from mpdt.errors import DataError, SpecError
 from mpdt.model.backbone import from_settings
 from mpdt.seeding import Quality, SeedKey
 from mpdt.train.adapt.candidates import Candidates
-from mpdt.train.adapt.infer import explain
-from mpdt.train.adapt.trials import schedule
+from mpdt.train.adapt.infer import InferSettings, explain
+from mpdt.train.adapt.trials import protocol, schedule
 from mpdt.train.adapt.trials.live import trial_key
 from mpdt.train.adapt.trials.settings import TrialSettings
 from mpdt.train.fit.reward import Transitions
@@ -213,6 +213,13 @@ def test_kept_trials_are_data_from_which_they_are_counted_again(tiny_file, tmp_p
         assert (len(own), own.sum()) == (2, told[name])
     assert told["mean"] == 16
     assert (tmp_path / "k-trials-alone-2.h5").exists()
+
+
+def test_how_x_is_told_is_nothing_to_trials_without_it():
+    by_steps = InferSettings(by="steps")
+    assert protocol._told(by_steps, "with_x") == by_steps.facts
+    for row in ("alone", "race"):
+        assert protocol._told(by_steps, row) == InferSettings().facts
 
 
 def test_settings_of_trials_count_only_where_trials_are_asked_for():
