@@ -60,11 +60,14 @@ def build_tables(scores: Sequence[Score], prompts: bool = True) -> list[Table]:
 
 
 def test_title(scores: Sequence[Score]) -> str:
-    """Whether training knew the test tasks; what each method read stands in its column."""
+    """Whether training knew the test tasks, where training tasks are in the scores to tell by; what
+    each method read stands in its column."""
     test, train = (
         {score.task for score in scores if score.block == block} - {MEAN}
         for block in ("test", "train")
     )
+    if not train:
+        return "Test tasks"
     seen = test & train
     said = "never trained on"
     if seen:

@@ -79,6 +79,8 @@ def test_the_title_says_whether_training_knew_the_test_tasks(test, said):
     titles = [table.title for table in build_tables(scores)]
     assert titles[2].startswith(f"Test tasks ({said}): return")
     assert titles[3] == f"Test tasks ({said}): mean over tasks"
+    alone = build_tables([one for one in scores if one.block == "test"])
+    assert alone[1].title == "Test tasks: mean over tasks", "nothing there to tell it by"
 
 
 def test_a_column_says_what_was_read_of_the_test_tasks():
