@@ -25,6 +25,7 @@ from mpdt.train.study.summary import Row, unseen_rows
 
 MEDIUM = "ones-medium"
 """Cell that was trained on medium episodes alone."""
+INFERRED = ("X+rewards",)
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,8 @@ class Goal:
             return f"{self.data}, {more}{own_episodes(self.own)}"
         if self.trained_on:
             return f"{self.data}, {self.trained_on.removeprefix('ones-')} data"
-        return self.data + {FEW_SHOT: ", few-shot", NOTHING: ", nothing read"}.get(self.reads, "")
+        said = {FEW_SHOT: ", few-shot", NOTHING: ", nothing read", INFERRED: ", inferred"}
+        return self.data + said.get(self.reads, "")
 
     def counts(self, row: Row) -> bool:
         label = row.method.split()[0]
@@ -76,6 +78,7 @@ GOALS = (
     Goal("ml45", None, success=0.3, reads=NOTHING),
     Goal("mt10", 4000, 0.9, 1317.52, success=0.98),
     Goal("mt50", None, 0.9, 1559.94, success=0.9),
+    Goal("mt50", None, success=0.9, reads=INFERRED),
     Goal("mt50", None, success=0.7, trained_on=MEDIUM),
     Goal("cheetah_vel", -30, published=-30.10, reads=FEW_SHOT),
     Goal("ml10", 1800, success=0.55, reads=FEW_SHOT),

@@ -149,6 +149,9 @@ def test_a_goal_of_other_data_looks_at_its_own_cell_and_the_usual_ones_pass_it_b
     assert [usual.counts(one) for one in rows] == [False, True]
     assert [medium.counts(one) for one in rows] == [True, False]
     assert medium.name == "mt50, medium data"
+    inferred = Goal("mt50", None, reads=goals.INFERRED)
+    assert inferred.name == "mt50, inferred" and inferred.counts(rows[1])
+    assert not inferred.counts(replace(rows[1], reads="task id"))
 
 
 def test_few_shot_goals_look_at_other_rows(cells, monkeypatch):
