@@ -12,9 +12,11 @@ is the same computation in one piece, and the tests hold the two together.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, Protocol
 
 import torch
+import torch.nn.functional as F
 from einops import rearrange, repeat
 from torch import Tensor
 
@@ -144,13 +146,36 @@ def block_shape(model: Any) -> BlockShape:
     return Learned(model) if model.config.model_type == "gpt2" else Rotary(model)
 
 
-LEAST_ROWS = 4
-"""Matrix products of fewer rows round differently: MKL takes another path for them."""
+_PROBED = ((1536, 64), (576, 576), (64, 2))
+_MANY = 64
+
+
+@cache
+def least_rows() -> int:
+    """Fewest rows of a matrix product that round as they do among many, on this processor.
+
+    MKL takes other paths for fewer: below 4 on an AMD EPYC, below 16 on an Intel Xeon with AVX-512
+    (0024). Asked of products of a few shapes, which is a matter of the processor and not of time.
+    """
+    threads, generator = torch.get_num_threads(), torch.Generator().manual_seed(0)
+    torch.set_num_threads(1)
+    try:
+        least = 4
+        for wide, out in _PROBED:
+            weight = torch.randn(out, wide, generator=generator)
+            many = torch.randn(_MANY, wide, generator=generator)
+            whole = F.linear(many, weight)
+            for rows in range(least, _MANY):
+                if not torch.equal(F.linear(many[:rows].clone(), weight), whole[:rows]):
+                    least = rows + 1
+        return least
+    finally:
+        torch.set_num_threads(threads)
 
 
 def filled(rows: int) -> Tensor:
-    """Numbers 0 to rows - 1, the last one again until there are `LEAST_ROWS`."""
-    return torch.arange(max(rows, LEAST_ROWS)).clamp(max=rows - 1)
+    """Numbers 0 to rows - 1, the last one again until there are `least_rows`."""
+    return torch.arange(max(rows, least_rows())).clamp(max=rows - 1)
 
 
 def in_company(compute: Callable[..., Any], *rows: Tensor) -> Any:
@@ -160,7 +185,7 @@ def in_company(compute: Callable[..., Any], *rows: Tensor) -> Any:
     torch makes a product for each row, with weights copied for each.
     """
     rows = tuple(one.contiguous() for one in rows)
-    if rows[0].shape[:-1].numel() >= LEAST_ROWS:
+    if rows[0].shape[:-1].numel() >= least_rows():
         return compute(*rows)
     count = len(rows[0])
     found = compute(*(one[filled(count)] for one in rows))

@@ -101,7 +101,8 @@ class MovingWindow:
         for number, block in enumerate(self._blocks):
             last = number == len(self._blocks) - 1
             if number:
-                queries, keys, values = self._shape.project(block, x, newest=last)
+                project = partial(self._shape.project, block, newest=last)
+                queries, keys, values = in_company(project, x)
             if last:
                 x, seen = x[:, -1:], None if full else visible[:, :, -1:]
                 now = None if turn is None else (turn[0][:, :, -1:], turn[1][:, :, -1:])
