@@ -11,6 +11,7 @@ from torch import nn
 from mpdt.errors import ShapeError, SpecError
 from mpdt.model import moving_window
 from mpdt.model.backbone import Backbone, load_backbone
+from mpdt.model.blocks import least_rows
 from mpdt.model.closed_loop import FEW_ROWS, ClosedLoop
 from mpdt.model.policy import PolicyBatch, PromptPolicy
 from mpdt.model.returns import ReturnTable
@@ -200,6 +201,30 @@ def test_a_row_acts_the_same_to_the_bit_whatever_else_is_there(
     together = acted(slice(None))
     for rows in (slice(0, 1), slice(5, 6), slice(36, 37), slice(8, 10), slice(20, 25)):
         assert np.array_equal(acted(rows), together[rows]), rows
+
+
+def test_as_wide_as_a_language_model_with_a_short_window_too() -> None:
+    """Four columns of a lone row are few rows of a product in every block but the first."""
+    policy = make(load_backbone("random:smollm2-135m", 2, "float32", seed=3))
+    prompts, index = numbers(2, LENGTH, policy.backbone.width), torch.arange(6) % 2
+    seen, rewards = numbers(STEPS, 6, D).numpy(), numbers(STEPS, 6, seed=1).numpy()
+    starts = np.repeat(np.arange(STEPS)[:, None] == 0, 6, axis=1)
+
+    def acted(rows: slice) -> np.ndarray:
+        loop = ClosedLoop(policy, prompts, index[rows], K, TABLE)
+        steps = zip(seen[:, rows], rewards[:, rows], starts[:, rows], strict=True)
+        return np.stack([loop.act(*step) for step in steps], axis=1)
+
+    assert np.array_equal(acted(slice(2, 3)), acted(slice(None))[2:3])
+
+
+@pytest.mark.parametrize(("wide", "out"), [(576, 1536), (192, 576), (256, 64), (64, 8)])
+def test_so_many_rows_round_as_any_number_of_rows(wide: int, out: int) -> None:
+    """Shapes that were not asked about."""
+    weight, many = numbers(out, wide), numbers(96, wide, seed=1)
+    whole = torch.nn.functional.linear(many, weight)
+    for rows in range(least_rows(), 96):
+        assert torch.equal(torch.nn.functional.linear(many[:rows].clone(), weight), whole[:rows])
 
 
 def test_many_rows_go_through_in_parts(

@@ -75,9 +75,10 @@ _ONE_BLOCK: tuple[Cell, ...] = (
     *(one("ml10", "MPDT-ones", LONG, STARTS, EXPERT, seed=seed, label="ones-long")
       for seed in (3, 4)),
     one("mt10", "MPDT-ones", LONG, {"multitask": {"steps": 9000}}, STARTS, label="ones-longer"),
+    # Its weights again, with X told by its steps, not by its rewards alone (0010).
     one("mt10", "MPDT-ones", LONG, {"multitask": {"steps": 9000}}, INFER, TEST, BY_STEPS,
         label="ones-longer-by-steps"),
-    # Its weights again: few-shot that tunes the map and the head as well.
+    # The weights of ml10's ones-long again: few-shot that tunes the map and the head as well.
     *(one("ml10", "MPDT-ones", LONG, ALL_TUNED, TEST, seed=seed, label="few-shot-all")
       for seed in (0, 1, 2, 3, 4)),
     # What the previous action does to it; Prompt-DT longer, and with no action in its windows and
