@@ -12,7 +12,7 @@ from mpdt.draw.table import Table, markdown_page, rich_tables
 from mpdt.train.evaluate.tables import NORMALISED
 from mpdt.train.run.show import WIDTH_WITHOUT_TERMINAL
 from mpdt.train.study.cells import CellResult
-from mpdt.train.study.claims import CLAIMED_OF, claims_table
+from mpdt.train.study.claims import CLAIMED_OF, claims_table, verdicts_table
 from mpdt.train.study.goals import GOALS, goals_table
 from mpdt.train.study.protocols import protocols_table
 from mpdt.train.study.summary import cells_csv, read_cells, studies_in, study_tables
@@ -24,7 +24,7 @@ def report_tables(cells: Sequence[CellResult], studies: Sequence[str]) -> list[T
     if {cell.data for cell in cells} & {goal.data for goal in GOALS}:
         verdicts = [goals_table(cells), protocols_table(cells)]
     if set(CLAIMED_OF) & set(studies):
-        verdicts.append(claims_table(cells))
+        verdicts += [verdicts_table(cells), claims_table(cells)]
     return [*verdicts, *study_tables(cells, *studies)]
 
 

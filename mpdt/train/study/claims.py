@@ -42,6 +42,9 @@ CLAIMED_OF = ("one-block", "fifty")
 """The studies whose rows the claims name: three seeds of each on cheetah_vel; ml45 and mt50."""
 _RANK_1 = "rank-1"
 """MPDT-no-distillation, as `fifty` calls it."""
+_OTHER_WEIGHTS = (("MPDT-WP", "trained from scratch"), ("MPDT-WP-frozen", "random and frozen"))
+_TOLD = (("", _CROSS), (": task inferred", "infer"))
+"""What is compared: the published protocol, and prompts that X and its rewards point at."""
 
 
 def _on_fifty(data: str, published: Mapping[str, float]) -> tuple[Claim, ...]:
@@ -54,6 +57,7 @@ def _on_fifty(data: str, published: Mapping[str, float]) -> tuple[Claim, ...]:
     return (
         claim("decomposition helps", f"{_RANK_1} {_CROSS}", f"Soft-Prompt-TTA {_CROSS}"),
         claim("distillation helps", f"MPDT-E {_CROSS}", f"{_RANK_1} {_CROSS}"),
+        claim("distillation helps: task inferred", "MPDT-E infer", f"{_RANK_1} infer"),
         claim("P_c, adapted, beats P_c o mean P_k, not adapted", f"MPDT-E {_CROSS}",
               f"MPDT-E {_MEAN_START}", "MPDT", "no TTA"),
         claim("adaptation on X helps: P_c o mean P_k", "MPDT-E from cross_mean, adapted",
@@ -64,14 +68,17 @@ def _on_fifty(data: str, published: Mapping[str, float]) -> tuple[Claim, ...]:
               "MPDT-E from cross_mean, adapted", "MPDT", "mean start"),
         claim("a frozen input map is better", f"MPDT {_CROSS}", f"MPDT-E {_CROSS}",
               "MPDT", "MPDT-E"),
-        *(claim(f"pretrained weights help (against {against})", f"MPDT-E {_CROSS}",
-                f"{method} {_CROSS}")
-          for method, against in (("MPDT-WP", "trained from scratch"),
-                                  ("MPDT-WP-frozen", "random and frozen"))),
+        claim("a frozen input map is better: task inferred", "MPDT infer", "MPDT-E infer"),
+        *(claim(f"pretrained weights help (against {against}){how}", f"MPDT-E {row}",
+                f"{method} {row}")
+          for method, against in _OTHER_WEIGHTS for how, row in _TOLD),
         claim("rank 10 is better than rank 1", f"rank-10 {_CROSS}", f"{_RANK_1} {_CROSS}",
               "rank 10", "MPDT"),
+        claim("rank 10 is better than rank 1: task inferred", "rank-10 infer", f"{_RANK_1} infer"),
         claim("length 30 is better than length 3", f"{_RANK_1} {_CROSS}", f"length-3 {_CROSS}",
               "MPDT", "length 3"),
+        claim("length 30 is better than length 3: task inferred", f"{_RANK_1} infer",
+              "length-3 infer"),
         claim("MPDT beats zero-shot Prompt-DT", f"MPDT-E {_CROSS}", "Prompt-DT not adapted",
               "MPDT", "Prompt-DT"),
     )  # fmt: skip
@@ -102,16 +109,14 @@ CLAIMS = (
     *(Claim("adaptation on X helps: inferred prompts", data, "MPDT-E infer, adapted",
             "MPDT-E infer")
       for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10")),
-    Claim("adaptation on X helps: inferred prompts", _VEL, "MPDT-ones infer, adapted",
+    Claim("adaptation on X helps: inferred prompts of MPDT-ones", _VEL, "MPDT-ones infer, adapted",
           "MPDT-ones infer"),
     Claim("a frozen input map is better", _VEL, f"MPDT {_CROSS}", f"MPDT-E {_CROSS}",
           (-139.88, -186.07)),
     Claim("a frozen input map is better: task inferred", _VEL, "MPDT infer", "MPDT-E infer"),
     *(Claim(f"pretrained weights help (against {against}){how}", _VEL, f"MPDT-E {row}",
             f"{method} {row}")
-      for method, against in (("MPDT-WP", "trained from scratch"),
-                              ("MPDT-WP-frozen", "random and frozen"))
-      for how, row in (("", _CROSS), (": task inferred", "infer"))),
+      for method, against in _OTHER_WEIGHTS for how, row in _TOLD),
     *(Claim(f"starting from P_c alone beats {what}", _VEL, f"MPDT-E {_CROSS}",
             f"MPDT-E from {start}, adapted", (-139.88, published))
       for what, start, published in (("P_c o mean P_k", "cross_mean", -148.50),
@@ -178,6 +183,25 @@ def claims_table(cells: Sequence[CellResult]) -> Table:
     )  # fmt: skip
     columns = ("claim", "verdict", "data", "said to be ahead", "said to be behind", "published")
     return Table("Claims of the paper, and ours", columns, lines)
+
+
+def verdicts_table(cells: Sequence[CellResult]) -> Table:
+    """One line per claim, one column per family: the verdict and both means, - where the claim is
+    not asked of the family. What holds on one and not on another stands side by side."""
+    families = list(dict.fromkeys(claim.data for claim in CLAIMS))
+    rows = {data: unseen_rows(cells, data) for data in families}
+    lines: dict[str, dict[str, str]] = {}
+    for claim in CLAIMS:
+        known = rows[claim.data]
+        said = qualified_verdict(known, claim)
+        if claim.ahead in known and claim.behind in known:
+            said += f": {known[claim.ahead].mean:,.0f} / {known[claim.behind].mean:,.0f}"
+        lines.setdefault(claim.text, {})[claim.data] = said
+    return Table(
+        "Verdicts by family", ("claim", *families),
+        tuple((text, *(said.get(data, "-") for data in families)) for text, said in lines.items()),
+        ("behind each verdict: mean return of the row said to be ahead / behind",),
+    )  # fmt: skip
 
 
 def _told(row: Row | None, name: str) -> str:

@@ -16,6 +16,7 @@ from mpdt.train.study.claims import (
     claims_table,
     judge_claim,
     qualified_verdict,
+    verdicts_table,
 )
 from mpdt.train.study.goals import GOALS, Goal, goals_table
 from mpdt.train.study.plans import STUDIES
@@ -170,10 +171,35 @@ def test_claims_without_rows_are_not_run(cells):
     assert len(table.rows) == len(CLAIMS)
 
 
+def test_a_claim_has_one_line_and_each_family_its_own_verdict(monkeypatch):
+    """Confirmed on one family, reversed on another, not run on a third, not asked of the fourth."""
+    monkeypatch.setattr("mpdt.train.study.claims.CLAIMS", (
+        *(Claim("a wins", data, "a infer", "b infer") for data in ("mt10", "ml10", "ml45")),
+        Claim("b wins", "mt50", "b infer", "a infer"),
+    ))  # fmt: skip
+    cells = [
+        CellResult(data, "A", 0, (*score("a infer", a), *score("b infer", b)), {})
+        for data, a, b in (("mt10", 3700.0, 9.0), ("ml10", 9.0, 3700.0), ("mt50", 5.0, 5.5))
+    ]
+    table = verdicts_table(cells)
+    assert table.columns == ("claim", "mt10", "ml10", "ml45", "mt50")
+    assert table.rows == (
+        ("a wins", "confirmed, 1 seed: 3,700 / 9", "reversed, 1 seed: 9 / 3,700", "not run", "-"),
+        ("b wins", "-", "-", "-", "not confirmed, 1 seed: 6 / 5"),
+    )
+
+
+def test_a_claim_is_asked_once_of_a_family():
+    """Two of one text would stand in one place of the table, one of them unseen."""
+    asked = [(claim.text, claim.data) for claim in CLAIMS]
+    assert len(set(asked)) == len(asked)
+
+
 def test_a_study_of_these_data_begins_with_its_verdicts(cells):
     titles = [table.title for table in report_tables(cells, list(CLAIMED_OF))]
     verdicts = ["Goals on unseen tasks", "By protocol, on unseen tasks"]
-    assert titles[:4] == [*verdicts, "Claims of the paper, and ours", "mt10: test tasks"]
+    claimed = ["Verdicts by family", "Claims of the paper, and ours"]
+    assert titles[:5] == [*verdicts, *claimed, "mt10: test tasks"]
     titles = [table.title for table in report_tables(cells, ["try"])]
     assert titles[:3] == [*verdicts, "mt10: test tasks"], "claims name another's rows"
     other = [CellResult("another", "A", 0, cells[0].scores, {})]
