@@ -42,15 +42,16 @@ def test_a_verdict_is_two_intervals(behind, verdict):
 
 
 def test_a_verdict_says_how_few_seeds_it_has_and_whether_anything_was_learnt():
-    """Zero action earns [0, 1]."""
+    """Zero action earns [0, 0.9]."""
     three = replace(row(3, 5), num_seeds=3)
-    rows = {"zero action": row(0, 1), "a": three, "b": three, "c": row(1, 2), "d": row(-2, -1)}
+    rows = {"zero action": row(0, 0.9), "a": three, "b": three, "c": row(1, 2), "d": row(-2, -1)}
     assert qualified_verdict(rows, Claim("", "d", "a", "b")) == "not confirmed"
     assert qualified_verdict(rows, Claim("", "d", "a", "c")) == "confirmed, 1 seed of one side"
     assert qualified_verdict(rows, Claim("", "d", "c", "d")) == "confirmed, 1 seed"
-    below = {**rows, "c": row(-0.5, 0.5)}
     said = "confirmed, 1 seed, no better than zero action"
-    assert qualified_verdict(below, Claim("", "d", "c", "d")) == said
+    for own in ((-0.5, 0.5), (0.5, 3)):
+        below = {**rows, "c": row(*own)}
+        assert qualified_verdict(below, Claim("", "d", "c", "d")) == said
     assert qualified_verdict(rows, Claim("", "d", "a", "e")) == "not run"
 
 
