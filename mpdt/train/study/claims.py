@@ -114,6 +114,8 @@ CLAIMS = (
       for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10")),
     Claim("adaptation on X helps: inferred prompts of MPDT-ones", _VEL, "MPDT-ones infer, adapted",
           "MPDT-ones infer"),
+    Claim("a sparse loss helps", _VEL, f"MPDT+sparse {_CROSS}", f"MPDT {_CROSS}",
+          (-138.24, -139.88)),
     *(Claim(f"a frozen input map is better{how}", data, f"MPDT {row}", f"MPDT-E {row}",
             (-139.88, -186.07) if data == _VEL and not how else None)
       for how, row in _TOLD for data in _ON_ONE_BLOCK),
