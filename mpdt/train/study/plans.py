@@ -46,7 +46,7 @@ _ONCE = ("MPDT", "Soft-Prompt-TTA", "MPDT-WP-frozen", "MPDT-mixed", "Prompt-DT-T
          "MT-ORL-FT", "HDT", "LaMo", "Full-FT", "MPDT+sparse")  # fmt: skip
 # Claims are judged on cheetah_vel: three seeds for both sides of each.
 _ON_VEL = (*_THRICE, "MPDT", "Soft-Prompt-TTA", "MPDT-WP-frozen", "MPDT-teacher-parts",
-           "MPDT+sparse")
+           "MPDT+sparse")  # fmt: skip
 _FIVE_TIMES = ("MPDT-ones", "MPDT-E", "MPDT", "Prompt-DT", "Soft-Prompt-TTA")
 
 _ONE_BLOCK: tuple[Cell, ...] = (
