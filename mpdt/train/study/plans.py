@@ -78,9 +78,8 @@ _ONE_BLOCK: tuple[Cell, ...] = (
     one("mt10", "MPDT-ones", LONG, {"multitask": {"steps": 9000}}, STARTS, label="ones-longer"),
     # The published start without distillation, which learns mt50's training tasks better than
     # MPDT-ones in as many updates.
-    one("mt10", PLAIN, LONG, STARTS, label="plain-long"),
+    *(one("mt10", PLAIN, LONG, STARTS, seed=seed, label="plain-long") for seed in (0, 1, 2)),
     # Weights again, with X told by its steps, not by its rewards alone (0010).
-    one("mt10", PLAIN, LONG, INFER, TEST, BY_STEPS, label="plain-long-by-steps"),
     one("mt10", "MPDT-ones", LONG, {"multitask": {"steps": 9000}}, INFER, TEST, BY_STEPS,
         label="ones-longer-by-steps"),
     # The weights of ml10's ones-long again: few-shot that tunes the map and the head as well.
