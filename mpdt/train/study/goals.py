@@ -122,7 +122,7 @@ def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
         and (goal.share is None or share >= goal.share)
         and (goal.success is None or (best.success or 0.0) >= goal.success)
     )
-    trained = "-" if math.isnan(share) else f"{share:.2f}"
+    trained = "-" if math.isnan(share) else _short_of(share, goal.share)
     reached = f"{best.mean:.1f} [{best.interval[0]:.1f}, {best.interval[1]:.1f}]"
     return (
         goal.name, "met" if met else "missed", wanted,
@@ -132,6 +132,14 @@ def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
         "not public" if goal.published is None else f"{goal.published:g}",
         *(_mean(rows.get(name)) for name in REFERENCES),
     )  # fmt: skip
+
+
+def _short_of(share: float, asked: float | None) -> str:
+    """Two digits, or as many as it takes that what is missed does not look reached."""
+    digits = 2
+    while asked is not None and share < asked <= round(share, digits):
+        digits += 1
+    return f"{share:.{digits}f}"
 
 
 def _training_share(cells: Sequence[CellResult], data: str, method: str) -> float:

@@ -107,6 +107,19 @@ def test_a_goal_is_missed_by_any_of_its_parts(cells, monkeypatch):
         assert goals_table(cells).rows[0][1] == "missed"
 
 
+@pytest.mark.parametrize(("share", "told"), [(0.8996, "0.8996"), (0.894, "0.89"), (0.9, "0.90")])
+def test_training_tasks_that_miss_by_a_hair_do_not_look_as_if_they_did_not(
+    share, told, monkeypatch
+):
+    scores = (
+        *score("A infer", 9.0, reads="X+rewards"),
+        *score("A", 9.0, "train", normalised=share),
+    )
+    cells = [CellResult("mt10", "A", 0, scores, {})]
+    (line,) = goals_table_of(monkeypatch, cells, Goal("mt10", None, 0.9))
+    assert line[5] == f"{told} of 0.9" and line[1] == ("met" if share >= 0.9 else "missed")
+
+
 def test_a_cell_that_judges_again_does_not_reach_a_goal_of_training_tasks(cells, monkeypatch):
     """B earns more, but what its training tasks earn stands nowhere."""
     again = CellResult("mt10", "B", 0, tuple(score("B infer", 9000.0, reads="X+rewards")), {})
