@@ -13,12 +13,13 @@ Source of the published figures: Zheng et al. 2024, review text (zero-shot and a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from mpdt.draw.table import Table
-from mpdt.train.evaluate.score import ZERO
+from mpdt.train.evaluate.score import CONSTANT, RANDOM, ZERO
 from mpdt.train.study.cells import CellResult
 from mpdt.train.study.summary import Row, unseen_rows
 
@@ -196,7 +197,8 @@ def claims_table(cells: Sequence[CellResult]) -> Table:
 
 def verdicts_table(cells: Sequence[CellResult]) -> Table:
     """One line per claim, one column per family: the verdict and both means, - where the claim is
-    not asked of the family. What holds on one and not on another stands side by side."""
+    not asked of the family. What holds on one and not on another stands side by side. The last
+    line is what a policy has that has learnt nothing."""
     families = list(dict.fromkeys(claim.data for claim in CLAIMS))
     rows = {data: unseen_rows(cells, data) for data in families}
     lines: dict[str, dict[str, str]] = {}
@@ -206,6 +208,11 @@ def verdicts_table(cells: Sequence[CellResult]) -> Table:
         if claim.ahead in known and claim.behind in known:
             said += f": {known[claim.ahead].mean:,.0f} / {known[claim.behind].mean:,.0f}"
         lines.setdefault(claim.text, {})[claim.data] = said
+    lines["best of zero, random and constant action"] = {
+        data: f"{max(known):,.1f}" for data in families
+        if (known := [rows[data][name].mean for name in (ZERO, RANDOM, CONSTANT)
+                      if name in rows[data] and math.isfinite(rows[data][name].mean)])
+    }  # fmt: skip
     return Table(
         "Verdicts by family", ("claim", *families),
         tuple((text, *(said.get(data, "-") for data in families)) for text, said in lines.items()),

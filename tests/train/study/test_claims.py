@@ -1,5 +1,6 @@
 """Verdicts and goals from rows made by hand."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -191,8 +192,13 @@ def test_a_claim_has_one_line_and_each_family_its_own_verdict(monkeypatch):
         *(Claim("a wins", data, "a infer", "b infer") for data in ("mt10", "ml10", "ml45")),
         Claim("b wins", "mt50", "b infer", "a infer"),
     ))  # fmt: skip
+    trivial = {
+        "mt10": (*score("zero action", 2.0), *score("best constant", math.nan)),
+        "ml10": (*score("zero action", 2.0), *score("random", 3.0), *score("best constant", 4.0)),
+        "mt50": (),
+    }
     cells = [
-        CellResult(data, "A", 0, (*score("a infer", a), *score("b infer", b)), {})
+        CellResult(data, "A", 0, (*score("a infer", a), *score("b infer", b), *trivial[data]), {})
         for data, a, b in (("mt10", 3700.0, 9.0), ("ml10", 9.0, 3700.0), ("mt50", 5.0, 5.5))
     ]
     table = verdicts_table(cells)
@@ -200,6 +206,7 @@ def test_a_claim_has_one_line_and_each_family_its_own_verdict(monkeypatch):
     assert table.rows == (
         ("a wins", "confirmed, 1 seed: 3,700 / 9", "reversed, 1 seed: 9 / 3,700", "not run", "-"),
         ("b wins", "-", "-", "-", "not confirmed, 1 seed: 6 / 5"),
+        ("best of zero, random and constant action", "2.0", "4.0", "-", "-"),
     )
 
 
