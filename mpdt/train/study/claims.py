@@ -209,15 +209,19 @@ def verdicts_table(cells: Sequence[CellResult]) -> Table:
             said += f": {known[claim.ahead].mean:,.0f} / {known[claim.behind].mean:,.0f}"
         lines.setdefault(claim.text, {})[claim.data] = said
     lines["best of zero, random and constant action"] = {
-        data: f"{max(known):,.1f}" for data in families
-        if (known := [rows[data][name].mean for name in (ZERO, RANDOM, CONSTANT)
-                      if name in rows[data] and math.isfinite(rows[data][name].mean)])
-    }  # fmt: skip
+        data: _best_trivial(known) for data, known in rows.items()
+    }
     return Table(
         "Verdicts by family", ("claim", *families),
         tuple((text, *(said.get(data, "-") for data in families)) for text, said in lines.items()),
         ("behind each verdict: mean return of the row said to be ahead / behind",),
     )  # fmt: skip
+
+
+def _best_trivial(rows: Mapping[str, Row]) -> str:
+    means = [rows[name].mean for name in (ZERO, RANDOM, CONSTANT) if name in rows]
+    known = [mean for mean in means if math.isfinite(mean)]
+    return f"{max(known):,.1f}" if known else "-"
 
 
 def _told(row: Row | None, name: str) -> str:
