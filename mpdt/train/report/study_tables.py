@@ -12,10 +12,11 @@ from mpdt.draw.table import Table, markdown_page, rich_tables
 from mpdt.train.evaluate.tables import NORMALISED
 from mpdt.train.run.show import WIDTH_WITHOUT_TERMINAL
 from mpdt.train.study.cells import CellResult
-from mpdt.train.study.claims import CLAIMED_OF, claims_table, verdicts_table
+from mpdt.train.study.claims import CLAIMED_OF
 from mpdt.train.study.goals import GOALS, goals_table
 from mpdt.train.study.protocols import protocols_table
 from mpdt.train.study.summary import cells_csv, read_cells, studies_in, study_tables
+from mpdt.train.study.verdicts import claims_table, verdicts_table
 
 
 def report_tables(cells: Sequence[CellResult], studies: Sequence[str]) -> list[Table]:

@@ -1,34 +1,52 @@
-"""What a study says about the claims of the paper, and about ours.
+"""What the paper claims, and what we claim, as pairs of rows of a study's tables. Data only.
 
-    claim     two rows of a study's tables, the one the paper puts ahead first
-    verdict   confirmed: its interval lies above the other's; reversed: below;
-              not confirmed: they overlap; not run: a row is missing
+    statement  who earns more than whom, in the names of rows; of which families it is asked
+    claim      a statement of one family, with the paper's two figures where it has them
 
-The verdict is arithmetic on the tables and nobody's opinion. Our rows are MPDT-E's, whose input map
-is trained, where the paper's are MPDT's, whose map is frozen: that is a claim of its own. Where a
-row has one seed its interval is over episodes: the verdict holds for these weights, may fall with
-the next seed, and says so.
+Our rows are MPDT-E's, whose input map is trained, where the paper's are MPDT's, whose map is
+frozen: that is a claim of its own. What is made of them: verdicts.py.
 Source of the published figures: Zheng et al. 2024, review text (zero-shot and ablation tables).
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
-from mpdt.draw.table import Table
-from mpdt.train.evaluate.score import CONSTANT, RANDOM, ZERO
-from mpdt.train.study.cells import CellResult
-from mpdt.train.study.summary import Row, unseen_rows
+CLAIMED_OF = ("one-block", "fifty")
+"""The studies whose rows the claims name: three seeds of each on cheetah_vel; ml45 and mt50."""
 
-Verdict = Literal["confirmed", "reversed", "not confirmed", "not run"]
+_VEL = ("cheetah_vel",)
+_FIFTY = ("ml45", "mt50")
+_ONE_BLOCK = ("cheetah_vel", "cheetah_dir", "ant_dir", "ml10")
+"""Families on which `one-block` plans every method; of mt10 it plans a few."""
+FAMILIES = (*_ONE_BLOCK, "mt10", *_FIFTY)
+
+# Mean return on unseen tasks, by variant as the paper's tables call it.
+_PUBLISHED: Mapping[str, Mapping[str, float]] = {
+    "cheetah_vel": {"MPDT": -139.88, "Prompt-DT": -192.38, "no TTA": -145.27, "MPDT-E": -186.07,
+                    "mean start": -148.50, "one start": -159.26, "random start": -171.75,
+                    "teacher parts": -169.50, "sparse": -138.24, "rank 10": -135.51,
+                    "length 3": -299.20},
+    "cheetah_dir": {"MPDT": 50.32, "Prompt-DT": -7.92},
+    "ant_dir": {"MPDT": 121.84, "Prompt-DT": 123.46},
+    "ml10": {"MPDT": 371.01, "Prompt-DT": 317.31},
+    "mt10": {"MPDT": 1317.52, "Prompt-DT": 1087.54},
+    "ml45": {"MPDT": 347.21, "Prompt-DT": 294.55, "no TTA": 337.80, "MPDT-E": 301.49,
+             "mean start": 332.80, "rank 10": 350.33, "length 3": 110.83},
+    "mt50": {"MPDT": 1559.94, "Prompt-DT": 994.63, "no TTA": 1304.07, "MPDT-E": 380.36,
+             "mean start": 1482.75},
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Claim:
-    """`ahead` earns more than `behind` on the unseen tasks of `data`, says the paper."""
+    """`ahead` earns more than `behind` on the unseen tasks of `data`.
+
+    Attributes:
+        ahead, behind: names of rows.
+        published: mean returns of the paper, of both, where it has both.
+    """
 
     text: str
     data: str
@@ -37,195 +55,91 @@ class Claim:
     published: tuple[float, float] | None = None
 
 
+@dataclass(frozen=True)
+class _Statement:
+    """A claim before it is asked of a family.
+
+    Attributes:
+        figures: both variants as `_PUBLISHED` calls them; empty where the paper has none.
+    """
+
+    text: str
+    ahead: str
+    behind: str
+    families: tuple[str, ...]
+    figures: tuple[str, ...] = ()
+
+    def asked_of(self, data: str) -> Claim:
+        # `fifty` plans more than one rank and calls MPDT-no-distillation by its rank.
+        plain = "rank-1" if data in _FIFTY else "MPDT-no-distillation"
+        ahead, behind = (name.replace("{plain}", plain) for name in (self.ahead, self.behind))
+        known = _PUBLISHED[data]
+        figures = tuple(known[name] for name in self.figures if name in known)
+        published = (figures[0], figures[1]) if len(figures) == 2 else None
+        return Claim(self.text, data, ahead, behind, published)
+
+
 _CROSS = "from cross, adapted"
-_MEAN_START = "P_c o mean P_k, not adapted"
-_VEL = "cheetah_vel"
-_PLAIN = "MPDT-no-distillation"
-CLAIMED_OF = ("one-block", "fifty")
-"""The studies whose rows the claims name: three seeds of each on cheetah_vel; ml45 and mt50."""
-_RANK_1 = "rank-1"
-"""MPDT-no-distillation, as `fifty` calls it."""
-_OTHER_WEIGHTS = (("MPDT-WP", "trained from scratch"), ("MPDT-WP-frozen", "random and frozen"))
-_TOLD = (("", _CROSS), (": task inferred", "infer"))
-"""What is compared: the published protocol, and prompts that X and its rewards point at."""
+_MEAN = "MPDT-E P_c o mean P_k, not adapted"
+_MEAN_START = "MPDT-E from cross_mean, adapted"
 
 
-def _on_fifty(data: str, published: Mapping[str, float]) -> tuple[Claim, ...]:
-    """The paper's ablations on ml45 or mt50; `published`: its figures by variant."""
-
-    def claim(text: str, ahead: str, behind: str, *variants: str) -> Claim:
-        known = [published[name] for name in variants if name in published]
-        return Claim(text, data, ahead, behind, (known[0], known[1]) if len(known) == 2 else None)
-
+def _told_both_ways(
+    text: str, ahead: str, behind: str, families: tuple[str, ...], figures: tuple[str, ...] = ()
+) -> tuple[_Statement, _Statement]:
+    """By the published protocol, and with prompts that X and its rewards point at."""
     return (
-        claim("decomposition helps", f"{_RANK_1} {_CROSS}", f"Soft-Prompt-TTA {_CROSS}"),
-        claim("distillation helps", f"MPDT-E {_CROSS}", f"{_RANK_1} {_CROSS}"),
-        claim("distillation helps: task inferred", "MPDT-E infer", f"{_RANK_1} infer"),
-        claim("P_c, adapted, beats P_c o mean P_k, not adapted", f"MPDT-E {_CROSS}",
-              f"MPDT-E {_MEAN_START}", "MPDT", "no TTA"),
-        claim("adaptation on X helps: P_c o mean P_k", "MPDT-E from cross_mean, adapted",
-              f"MPDT-E {_MEAN_START}", "mean start", "no TTA"),
-        claim("adaptation on X helps: one soft prompt for all tasks", f"Soft-Prompt-TTA {_CROSS}",
-              "Soft-Prompt-TTA not adapted"),
-        claim("starting from P_c alone beats P_c o mean P_k", f"MPDT-E {_CROSS}",
-              "MPDT-E from cross_mean, adapted", "MPDT", "mean start"),
-        claim("a frozen input map is better", f"MPDT {_CROSS}", f"MPDT-E {_CROSS}",
-              "MPDT", "MPDT-E"),
-        claim("a frozen input map is better: task inferred", "MPDT infer", "MPDT-E infer"),
-        *(claim(f"pretrained weights help (against {against}){how}", f"MPDT-E {row}",
-                f"{method} {row}")
-          for method, against in _OTHER_WEIGHTS for how, row in _TOLD),
-        claim("rank 10 is better than rank 1", f"rank-10 {_CROSS}", f"{_RANK_1} {_CROSS}",
-              "rank 10", "MPDT"),
-        claim("rank 10 is better than rank 1: task inferred", "rank-10 infer", f"{_RANK_1} infer"),
-        claim("length 30 is better than length 3", f"{_RANK_1} {_CROSS}", f"length-3 {_CROSS}",
-              "MPDT", "length 3"),
-        claim("length 30 is better than length 3: task inferred", f"{_RANK_1} infer",
-              "length-3 infer"),
-        claim("MPDT beats zero-shot Prompt-DT", f"MPDT-E {_CROSS}", "Prompt-DT not adapted",
-              "MPDT", "Prompt-DT"),
-    )  # fmt: skip
+        _Statement(text, f"{ahead} {_CROSS}", f"{behind} {_CROSS}", families, figures),
+        _Statement(f"{text}: task inferred", f"{ahead} infer", f"{behind} infer", families),
+    )
 
 
-_FIFTY_CLAIMS = (
-    *_on_fifty("ml45", {"MPDT": 347.21, "no TTA": 337.80, "mean start": 332.80, "MPDT-E": 301.49,
-                        "rank 10": 350.33, "length 3": 110.83, "Prompt-DT": 294.55}),
-    *_on_fifty("mt50", {"MPDT": 1559.94, "no TTA": 1304.07, "mean start": 1482.75,
-                        "MPDT-E": 380.36, "Prompt-DT": 994.63}),
-)  # fmt: skip
-_ON_ONE_BLOCK = (_VEL, "cheetah_dir", "ant_dir", "ml10")
-"""Families on which `one-block` plans every method; three to five seeds of each on cheetah_vel."""
-CLAIMS = (
-    *(Claim("decomposition helps", data, f"{_PLAIN} {_CROSS}", f"Soft-Prompt-TTA {_CROSS}")
-      for data in _ON_ONE_BLOCK),
-    *(Claim(f"distillation helps{how}", data, f"MPDT-E {row}", f"{_PLAIN} {row}")
-      for how, row in _TOLD for data in _ON_ONE_BLOCK),
-    Claim("distillation beats the teacher's prompts as task parts", _VEL, f"MPDT-E {_CROSS}",
-          f"MPDT-teacher-parts {_CROSS}", (-139.88, -169.50)),
+_STATEMENTS = (
+    _Statement("decomposition helps", f"{{plain}} {_CROSS}", f"Soft-Prompt-TTA {_CROSS}",
+               (*_ONE_BLOCK, *_FIFTY)),
+    *_told_both_ways("distillation helps", "MPDT-E", "{plain}", (*_ONE_BLOCK, *_FIFTY)),
+    _Statement("distillation beats the teacher's prompts as task parts", f"MPDT-E {_CROSS}",
+               f"MPDT-teacher-parts {_CROSS}", _VEL, ("MPDT", "teacher parts")),
     # As the paper compares them: another start, and no adaptation.
-    *(Claim("P_c, adapted, beats P_c o mean P_k, not adapted", data,
-            f"MPDT-E {_CROSS}", f"MPDT-E {_MEAN_START}", published)
-      for data, published in ((_VEL, (-139.88, -145.27)), ("cheetah_dir", None), ("ant_dir", None),
-                              ("ml10", None), ("mt10", None))),
+    _Statement("P_c, adapted, beats P_c o mean P_k, not adapted", f"MPDT-E {_CROSS}", _MEAN,
+               FAMILIES, ("MPDT", "no TTA")),
     # The same start with and without.
-    Claim("adaptation on X helps: P_c o mean P_k", _VEL, "MPDT-E from cross_mean, adapted",
-          f"MPDT-E {_MEAN_START}"),
-    *(Claim("adaptation on X helps: one soft prompt for all tasks", data,
-            f"Soft-Prompt-TTA {_CROSS}", "Soft-Prompt-TTA not adapted") for data in _ON_ONE_BLOCK),
-    *(Claim("adaptation on X helps: inferred prompts", data, "MPDT-E infer, adapted",
-            "MPDT-E infer")
-      for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10")),
-    *(Claim("adaptation on X helps: inferred prompts of MPDT-ones", data,
-            "MPDT-ones infer, adapted", "MPDT-ones infer")
-      for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10")),
+    _Statement("adaptation on X helps: P_c o mean P_k", _MEAN_START, _MEAN, (*_VEL, *_FIFTY),
+               ("mean start", "no TTA")),
+    _Statement("adaptation on X helps: one soft prompt for all tasks", f"Soft-Prompt-TTA {_CROSS}",
+               "Soft-Prompt-TTA not adapted", (*_ONE_BLOCK, *_FIFTY)),
+    _Statement("adaptation on X helps: inferred prompts", "MPDT-E infer, adapted", "MPDT-E infer",
+               (*_ONE_BLOCK, "mt10")),
+    _Statement("adaptation on X helps: inferred prompts of MPDT-ones", "MPDT-ones infer, adapted",
+               "MPDT-ones infer", (*_ONE_BLOCK, "mt10")),
+    _Statement("starting from P_c alone beats P_c o mean P_k", f"MPDT-E {_CROSS}", _MEAN_START,
+               (*_VEL, *_FIFTY), ("MPDT", "mean start")),
+    _Statement("starting from P_c alone beats P_c o one P_k", f"MPDT-E {_CROSS}",
+               "MPDT-E from cross_one, adapted", _VEL, ("MPDT", "one start")),
+    _Statement("starting from P_c alone beats a random task part", f"MPDT-E {_CROSS}",
+               "MPDT-E from cross_random, adapted", _VEL, ("MPDT", "random start")),
     # Its input map is trained, as MPDT-E's.
-    Claim("a sparse loss helps", _VEL, f"MPDT+sparse {_CROSS}", f"MPDT-E {_CROSS}",
-          (-138.24, -139.88)),
-    *(Claim(f"a frozen input map is better{how}", data, f"MPDT {row}", f"MPDT-E {row}",
-            (-139.88, -186.07) if data == _VEL and not how else None)
-      for how, row in _TOLD for data in _ON_ONE_BLOCK),
-    *(Claim(f"pretrained weights help (against {against}){how}", data, f"MPDT-E {row}",
-            f"{method} {row}")
-      for method, against in _OTHER_WEIGHTS for how, row in _TOLD for data in _ON_ONE_BLOCK),
-    *(Claim(f"starting from P_c alone beats {what}", _VEL, f"MPDT-E {_CROSS}",
-            f"MPDT-E from {start}, adapted", (-139.88, published))
-      for what, start, published in (("P_c o mean P_k", "cross_mean", -148.50),
-                                     ("P_c o one P_k", "cross_one", -159.26),
-                                     ("a random task part", "cross_random", -171.75))),
-    Claim("rank 10 is better than rank 1", _VEL, f"rank-10 {_CROSS}", f"{_PLAIN} {_CROSS}",
-          (-135.51, -139.88)),
-    Claim("rank 10 is better than rank 1: task inferred", _VEL, "rank-10 infer",
-          f"{_PLAIN} infer"),
-    Claim("length 30 is better than length 3", _VEL, f"{_PLAIN} {_CROSS}", f"length-3 {_CROSS}",
-          (-139.88, -299.20)),
-    Claim("length 30 is better than length 3: task inferred", _VEL, f"{_PLAIN} infer",
-          "length-3 infer"),
-    *(Claim("MPDT beats zero-shot Prompt-DT", data, f"MPDT-E {_CROSS}", "Prompt-DT not adapted",
-            published)
-      for data, published in ((_VEL, (-139.88, -192.38)), ("cheetah_dir", (50.32, -7.92)),
-                              ("ant_dir", (121.84, 123.46)), ("ml10", (371.01, 317.31)),
-                              ("mt10", (1317.52, 1087.54)))),
-    *_FIFTY_CLAIMS,
-    Claim("ours: task parts near one can be averaged", _VEL, "MPDT-ones infer", "mixture infer"),
-    Claim("ours: their mixture beats the nearest prompt", _VEL, "MPDT-ones infer",
-          f"{_PLAIN} infer"),
-    *(Claim("ours: MPDT-ones beats Prompt-DT, both told the task by X and rewards", data,
-            "MPDT-ones infer", "Prompt-DT infer")
-      for data in (_VEL, "cheetah_dir", "ant_dir", "ml10", "mt10", "ml45", "mt50")),
-    Claim("ours: MPDT-ones beats its like trained from scratch (smaller rate)", _VEL,
-          "MPDT-ones infer", "WP-ones infer"),
+    _Statement("a sparse loss helps", f"MPDT+sparse {_CROSS}", f"MPDT-E {_CROSS}", _VEL,
+               ("sparse", "MPDT")),
+    *_told_both_ways("a frozen input map is better", "MPDT", "MPDT-E", (*_ONE_BLOCK, *_FIFTY),
+                     ("MPDT", "MPDT-E")),
+    *_told_both_ways("pretrained weights help (against trained from scratch)", "MPDT-E",
+                     "MPDT-WP", (*_ONE_BLOCK, *_FIFTY)),
+    *_told_both_ways("pretrained weights help (against random and frozen)", "MPDT-E",
+                     "MPDT-WP-frozen", (*_ONE_BLOCK, *_FIFTY)),
+    *_told_both_ways("rank 10 is better than rank 1", "rank-10", "{plain}", (*_VEL, *_FIFTY),
+                     ("rank 10", "MPDT")),
+    *_told_both_ways("length 30 is better than length 3", "{plain}", "length-3", (*_VEL, *_FIFTY),
+                     ("MPDT", "length 3")),
+    _Statement("MPDT beats zero-shot Prompt-DT", f"MPDT-E {_CROSS}", "Prompt-DT not adapted",
+               FAMILIES, ("MPDT", "Prompt-DT")),
+    _Statement("ours: task parts near one can be averaged", "MPDT-ones infer", "mixture infer",
+               _VEL),
+    _Statement("ours: their mixture beats the nearest prompt", "MPDT-ones infer", "{plain} infer",
+               _VEL),
+    _Statement("ours: MPDT-ones beats Prompt-DT, both told the task by X and rewards",
+               "MPDT-ones infer", "Prompt-DT infer", FAMILIES),
+    _Statement("ours: MPDT-ones beats its like trained from scratch (smaller rate)",
+               "MPDT-ones infer", "WP-ones infer", _VEL),
 )  # fmt: skip
-
-
-def judge_claim(rows: Mapping[str, Row], claim: Claim) -> Verdict:
-    """Compare two intervals; `rows` are one data set's test rows by name."""
-    ahead, behind = rows.get(claim.ahead), rows.get(claim.behind)
-    if ahead is None or behind is None:
-        return "not run"
-    if ahead.interval[0] > behind.interval[1]:
-        return "confirmed"
-    return "reversed" if ahead.interval[1] < behind.interval[0] else "not confirmed"
-
-
-def qualified_verdict(rows: Mapping[str, Row], claim: Claim) -> str:
-    """The verdict, what it rests on, and whether either side has learnt anything."""
-    verdict, (ahead, behind) = judge_claim(rows, claim), map(rows.get, (claim.ahead, claim.behind))
-    if ahead is None or behind is None:
-        return verdict
-    said: list[str] = [verdict]
-    if min(ahead.num_seeds, behind.num_seeds) == 1:
-        said.append("1 seed" if ahead.num_seeds == behind.num_seeds else "1 seed of one side")
-    idle = rows.get(ZERO)
-    if idle is not None and max(ahead.interval[0], behind.interval[0]) <= idle.interval[1]:
-        said.append("no better than zero action")
-    return ", ".join(said)
-
-
-def claims_table(cells: Sequence[CellResult]) -> Table:
-    """One line per claim, with the rows and intervals behind it."""
-    rows = {data: unseen_rows(cells, data) for data in {claim.data for claim in CLAIMS}}
-    lines = tuple(
-        (claim.text, qualified_verdict(rows[claim.data], claim), claim.data,
-         _told(rows[claim.data].get(claim.ahead), claim.ahead),
-         _told(rows[claim.data].get(claim.behind), claim.behind),
-         " / ".join(f"{value:.1f}" for value in claim.published or ()) or "not public")
-        for claim in CLAIMS
-    )  # fmt: skip
-    columns = ("claim", "verdict", "data", "said to be ahead", "said to be behind", "published")
-    return Table("Claims of the paper, and ours", columns, lines)
-
-
-def verdicts_table(cells: Sequence[CellResult]) -> Table:
-    """One line per claim, one column per family: the verdict and both means, - where the claim is
-    not asked of the family. What holds on one and not on another stands side by side. The last
-    line is what a policy has that has learnt nothing."""
-    families = list(dict.fromkeys(claim.data for claim in CLAIMS))
-    rows = {data: unseen_rows(cells, data) for data in families}
-    lines: dict[str, dict[str, str]] = {}
-    for claim in CLAIMS:
-        known = rows[claim.data]
-        said = qualified_verdict(known, claim)
-        if claim.ahead in known and claim.behind in known:
-            said += f": {known[claim.ahead].mean:,.0f} / {known[claim.behind].mean:,.0f}"
-        lines.setdefault(claim.text, {})[claim.data] = said
-    lines["best of zero, random and constant action"] = {
-        data: _best_trivial(known) for data, known in rows.items()
-    }
-    return Table(
-        "Verdicts by family", ("claim", *families),
-        tuple((text, *(said.get(data, "-") for data in families)) for text, said in lines.items()),
-        ("behind each verdict: mean return of the row said to be ahead / behind",),
-    )  # fmt: skip
-
-
-def _best_trivial(rows: Mapping[str, Row]) -> str:
-    means = [rows[name].mean for name in (ZERO, RANDOM, CONSTANT) if name in rows]
-    known = [mean for mean in means if math.isfinite(mean)]
-    return f"{max(known):,.1f}" if known else "-"
-
-
-def _told(row: Row | None, name: str) -> str:
-    if row is None:
-        return f"{name}: not run"
-    seeds = "1 seed" if row.num_seeds == 1 else f"{row.num_seeds} seeds"
-    return f"{name}: {row.mean:.1f} [{row.interval[0]:.1f}, {row.interval[1]:.1f}], {seeds}"
+CLAIMS = tuple(statement.asked_of(data) for statement in _STATEMENTS for data in statement.families)

@@ -179,7 +179,7 @@ _FIFTY: tuple[Cell, ...] = (
       for data in ("ml45", "mt50") for method in ("MPDT-WP", "MPDT-WP-frozen")),
     # As others train on less than expert episodes; judged against the same expert.
     _fifty("mt50", "MPDT-ones", {"quality": "medium"}, _NOTHING_OR_X, label="ones-medium"),
-    # With expert episodes its training tasks stood at 0.90 of the expert, those of MPDT-ones at 0.83.
+    # With expert episodes its training tasks stood at 0.90 of the expert, MPDT-ones at 0.83.
     _fifty("mt50", PLAIN, {"quality": "medium"}, _NOTHING_OR_X, label="plain-medium"),
     # Three times the updates.
     *(_fifty(data, "MPDT-ones", {"multitask": {"steps": 16500}}, _NOTHING_OR_X, label="ones-longer")

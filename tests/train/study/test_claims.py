@@ -10,20 +10,13 @@ from mpdt.train.evaluate.score import MEAN, Score
 from mpdt.train.report.study_tables import report_tables
 from mpdt.train.study import goals
 from mpdt.train.study.cells import CellResult
-from mpdt.train.study.claims import (
-    CLAIMED_OF,
-    CLAIMS,
-    Claim,
-    claims_table,
-    judge_claim,
-    qualified_verdict,
-    verdicts_table,
-)
+from mpdt.train.study.claims import CLAIMED_OF, CLAIMS, Claim
 from mpdt.train.study.goals import GOALS, Goal, goals_table
 from mpdt.train.study.plans import STUDIES
 from mpdt.train.study.protocols import FEW_SHOT, TRIALS, X_AND_TRIALS
 from mpdt.train.study.study import configure
 from mpdt.train.study.summary import Row
+from mpdt.train.study.verdicts import claims_table, judge_claim, qualified_verdict, verdicts_table
 
 
 def row(low, high, method="m"):
@@ -188,7 +181,7 @@ def test_claims_without_rows_are_not_run(cells):
 
 def test_a_claim_has_one_line_and_each_family_its_own_verdict(monkeypatch):
     """Confirmed on one family, reversed on another, not run on a third, not asked of the fourth."""
-    monkeypatch.setattr("mpdt.train.study.claims.CLAIMS", (
+    monkeypatch.setattr("mpdt.train.study.verdicts.CLAIMS", (
         *(Claim("a wins", data, "a infer", "b infer") for data in ("mt10", "ml10", "ml45")),
         Claim("b wins", "mt50", "b infer", "a infer"),
     ))  # fmt: skip
@@ -202,12 +195,21 @@ def test_a_claim_has_one_line_and_each_family_its_own_verdict(monkeypatch):
         for data, a, b in (("mt10", 3700.0, 9.0), ("ml10", 9.0, 3700.0), ("mt50", 5.0, 5.5))
     ]
     table = verdicts_table(cells)
-    assert table.columns == ("claim", "mt10", "ml10", "ml45", "mt50")
+    assert table.columns == ("claim", "ml10", "mt10", "ml45", "mt50")
     assert table.rows == (
-        ("a wins", "confirmed, 1 seed: 3,700 / 9", "reversed, 1 seed: 9 / 3,700", "not run", "-"),
+        ("a wins", "reversed, 1 seed: 9 / 3,700", "confirmed, 1 seed: 3,700 / 9", "not run", "-"),
         ("b wins", "-", "-", "-", "not confirmed, 1 seed: 6 / 5"),
-        ("best of zero, random and constant action", "2.0", "4.0", "-", "-"),
+        ("best of zero, random and constant action", "4.0", "2.0", "-", "-"),
     )
+
+
+def test_figures_of_the_paper_stand_beside_a_claim_only_where_it_has_both():
+    """In the order of the rows: MPDT first with `length 30`, second with `rank 10`."""
+    published = {(claim.text, claim.data): claim.published for claim in CLAIMS}
+    assert published["length 30 is better than length 3", "ml45"] == (347.21, 110.83)
+    assert published["rank 10 is better than rank 1", "ml45"] == (350.33, 347.21)
+    assert published["rank 10 is better than rank 1", "mt50"] is None
+    assert published["rank 10 is better than rank 1: task inferred", "ml45"] is None
 
 
 def test_a_claim_is_asked_once_of_a_family():
