@@ -127,7 +127,7 @@ def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
     return (
         goal.name, "met" if met else "missed", wanted,
         reached if best.success is None else f"{reached}, {best.success:.0%}",
-        f"{best.method} ({best.reads}; seeds: {best.num_seeds}; best of {len(tried)})",
+        f"{best.method} ({best.reads}; seeds: {best.seeds}; best of {len(tried)})",
         trained if goal.share is None else f"{trained} of {goal.share:g}",
         "not public" if goal.published is None else f"{goal.published:g}",
         *(_mean(rows.get(name)) for name in REFERENCES),

@@ -82,7 +82,7 @@ def protocol_of(reads: str, method: str) -> str:
 def protocols_table(cells: Sequence[CellResult]) -> Table:
     """Per data set the references, then of each protocol the row that earns most."""
     columns = ("data", "read of an unseen task", "mean return", "95 % interval", "success",
-               "normalised", "method", "runs", "best of")  # fmt: skip
+               "normalised", "method", "seeds", "best of")  # fmt: skip
     lines, missing = [], []
     for data in dict.fromkeys(cell.data for cell in cells):
         own = [cell for cell in cells if cell.data == data]
@@ -90,8 +90,8 @@ def protocols_table(cells: Sequence[CellResult]) -> Table:
         told = {line[1] for line in lines if line[0] == data}
         absent = [one.name for one in PROTOCOLS if one.name not in told]
         missing += [f"{data}: no row that reads {', '.join(absent)}"] if absent else []
-    notes = ("runs: training seeds, or training seeds times seeds of trials; weights that several "
-             "labels judged without reading anything are one row",)  # fmt: skip
+    notes = ("seeds: of training; runs: these times seeds of trials; weights that several labels "
+             "judged without reading anything are one row",)  # fmt: skip
     return Table("By protocol, on unseen tasks", columns, tuple(lines), (*notes, *missing))
 
 
@@ -109,7 +109,7 @@ def _lines(data: str, cells: Sequence[CellResult]) -> Iterator[tuple[str, ...]]:
         if known:
             best = max(known, key=lambda row: row.mean)
             yield (data, protocol.name, *_numbers(best, reached), best.method,
-                   str(best.num_seeds), str(len(known)))  # fmt: skip
+                   best.seeds, str(len(known)))  # fmt: skip
 
 
 def _numbers(row: Row, reached: dict[str, float]) -> tuple[str, str, str, str]:

@@ -3,9 +3,10 @@
     results/STUDY/CELL.json  ──>  per data set: what each method earns on the test tasks,
                                   what it read of them, and how well the training tasks go
 
-Intervals of a mean return: with several seeds Student's t over the seeds; with one seed its
-evaluation episodes are resampled, which says nothing about other seeds. Of an IQM: the stratified
-bootstrap of its authors, too narrow for a few seeds (`aggregate.py`).
+Intervals of a mean return: with several training seeds Student's t over them; with one seed its
+evaluation episodes are resampled, which says nothing about other seeds. Runs that share a training
+seed (seeds of trials) share its weights: they are averaged first and count as one. Of an IQM: the
+stratified bootstrap of its authors, too narrow for a few seeds (`aggregate.py`).
 """
 
 from __future__ import annotations
@@ -27,10 +28,13 @@ from mpdt.train.study.cells import CellResult, read_cell_files
 from mpdt.train.study.once import pooled, told_once
 from mpdt.train.study.plans import STUDIES
 
+Runs = dict[int, list[list[Score]]]
+"""The scores of every run of one method, by training seed."""
+
 
 @dataclass(frozen=True)
 class Row:
-    """One method on one block of tasks, over R seeds; nan where nothing is known."""
+    """One method on one block of tasks, over R training seeds; nan where nothing is known."""
 
     method: str
     reads: str
@@ -43,6 +47,12 @@ class Row:
     success: float | None
     own_steps: float | None = None
     """Steps of own episodes per task; None where none were read."""
+    num_runs: int | None = None
+    """Where it differs from the seeds: runs of one seed differ in the seed of their trials."""
+
+    @property
+    def seeds(self) -> str:
+        return f"{self.num_seeds} ({self.num_runs} runs)" if self.num_runs else str(self.num_seeds)
 
 
 def is_study(folder: Path) -> bool:
@@ -69,16 +79,16 @@ def read_cells(folder: Path) -> list[CellResult]:
 
 def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:
     """Rows of one data set: references once, then the methods in the order of the cells."""
-    by_method: dict[str, list[list[Score]]] = {}
+    by_method: dict[str, Runs] = {}
     for cell in told_once(cells):
         own: dict[str, list[Score]] = {}
         for score in cell.scores:
             if score.block == block:
                 own.setdefault(pooled(score.method), []).append(score)
         for method, scores in own.items():
-            runs = by_method.setdefault(method, [])
+            runs = by_method.setdefault(method, {})
             if method not in REFERENCES or not runs:
-                runs.append(scores)
+                runs.setdefault(cell.seed, []).append(scores)
     first = [method for method in REFERENCES if method in by_method]
     return [_row(by_method[m], m) for m in [*first, *(m for m in by_method if m not in first)]]
 
@@ -102,35 +112,45 @@ def task_intervals(
     cells: Sequence[CellResult], block: Block
 ) -> dict[str, dict[str, tuple[float, float, float]]]:
     """task -> method -> mean return and its interval, over seeds as in `summarise`."""
-    found: dict[str, dict[str, list[Score]]] = {}
+    found: dict[str, dict[str, Runs]] = {}
     for cell in told_once(cells):
         for score in cell.scores:
             if score.block == block and score.task != MEAN:
                 methods = found.setdefault(score.task, {})
-                methods.setdefault(pooled(score.method), []).append(score)
+                runs = methods.setdefault(pooled(score.method), {})
+                runs.setdefault(cell.seed, []).append([score])
     return {
         task: {method: _interval_of(method, scores) for method, scores in methods.items()}
         for task, methods in found.items()
     }
 
 
-def _interval_of(method: str, scores: Sequence[Score]) -> tuple[float, float, float]:
-    if method in REFERENCES or len(scores) == 1:
-        return (scores[0].mean, *_of_episodes(scores[0]))
-    means = np.array([[score.mean] for score in scores])
+def _interval_of(method: str, runs: Runs) -> tuple[float, float, float]:
+    ((first, *_), *_) = next(iter(runs.values()))
+    if method in REFERENCES:
+        return (first.mean, *_of_episodes([first]))
+    means = _matrix(runs, [first.task], "mean")
+    if len(means) == 1:
+        own = [score for scores in runs.values() for (score,) in scores]
+        return (float(means.mean()), *_of_episodes(own))
     return (float(means.mean()), *seed_interval(means))
 
 
-def _of_episodes(score: Score) -> tuple[float, float]:
-    """Of one seed; unknown where every task has one episode, which resampling cannot move."""
-    return (score.low, score.high) if score.low < score.high else (math.nan, math.nan)
+def _of_episodes(runs: Sequence[Score]) -> tuple[float, float]:
+    """Of one seed; unknown where every task has one episode, which resampling cannot move.
+
+    Of several runs of that seed the mean of their ends: they may err together.
+    """
+    low, high = (float(np.mean([getattr(one, end) for one in runs])) for end in ("low", "high"))
+    return (low, high) if low < high else (math.nan, math.nan)
 
 
-def _row(runs: Sequence[Sequence[Score]], method: str) -> Row:
-    tasks = [score.task for score in runs[0] if score.task != MEAN]
+def _row(runs: Runs, method: str) -> Row:
+    every = [scores for own in runs.values() for scores in own]
+    tasks = [score.task for score in every[0] if score.task != MEAN]
     means, levels = (_matrix(runs, tasks, name) for name in ("mean", "normalised"))
-    overall = [score for run in runs for score in run if score.task == MEAN]
-    interval = _of_episodes(overall[0])
+    overall = [score for scores in every for score in scores if score.task == MEAN]
+    interval = _of_episodes(overall)
     level_interval = (math.nan, math.nan)
     if len(runs) > 1:
         interval = seed_interval(means)
@@ -140,16 +160,18 @@ def _row(runs: Sequence[Sequence[Score]], method: str) -> Row:
         method=method, reads=overall[0].reads or "-", num_seeds=len(runs),
         mean=float(means.mean()), interval=interval, iqm=iqm(levels),
         iqm_interval=level_interval, success=float(np.mean(shares)) if shares else None,
-        own_steps=overall[0].own_steps,
+        own_steps=overall[0].own_steps, num_runs=len(every) if len(every) > len(runs) else None,
     )  # fmt: skip
 
 
-def _matrix(
-    runs: Sequence[Sequence[Score]], tasks: Sequence[str], name: str
-) -> NDArray[np.float64]:
-    """(R, N) of one number of the scores."""
-    at = [{score.task: float(getattr(score, name)) for score in run} for run in runs]
-    return np.array([[run[task] for task in tasks] for run in at])
+def _matrix(runs: Runs, tasks: Sequence[str], name: str) -> NDArray[np.float64]:
+    """(R, N) of one number of the scores: R training seeds, the runs of each averaged."""
+
+    def of_run(scores: Sequence[Score]) -> list[float]:
+        at = {score.task: float(getattr(score, name)) for score in scores}
+        return [at[task] for task in tasks]
+
+    return np.array([np.mean([of_run(scores) for scores in own], axis=0) for own in runs.values()])
 
 
 def study_tables(cells: Sequence[CellResult], *studies: str) -> list[Table]:
@@ -191,7 +213,7 @@ def _table(title: str, rows: Sequence[Row], told: bool, notes: tuple[str, ...]) 
         if tried:
             line.append("-" if row.own_steps is None else f"{row.own_steps:,.0f}")
         known = row.method in REFERENCES
-        cells.append((*line, "-" if known else str(row.num_seeds)))
+        cells.append((*line, "-" if known else row.seeds))
     return Table(title, (*columns, "seeds"), tuple(cells), notes)
 
 

@@ -57,11 +57,11 @@ def test_among_equals_the_name_is_that_of_the_study():
 
 
 def test_seeds_of_trials_judge_the_same_weights():
-    """Two of each training seed: still two runs, so the interval is not too narrow."""
+    """Two of each training seed: still two seeds, so the interval is not too narrow."""
     cells = [
         cell(f"m-t{again}", seed, 2.0 + seed, f"w{seed}") for seed in (0, 1) for again in (0, 1)
     ]
-    assert told(cells)[f"m {NOT_ADAPTED}"] == (2, 2.5) and told(cells)["m infer"] == (4, 5.0)
+    assert told(cells)[f"m {NOT_ADAPTED}"] == (2, 2.5) and told(cells)["m infer"] == (2, 5.0)
 
 
 @pytest.mark.parametrize("other", [None, "w1"])

@@ -6,6 +6,7 @@ from mpdt.train.evaluate.score import MEAN, Score
 from mpdt.train.study.cells import CellResult
 from mpdt.train.study.once import pooled
 from mpdt.train.study.protocols import PROTOCOLS, protocols_table, split_own
+from mpdt.train.study.summary import task_intervals
 
 
 def cell(seed, rows):
@@ -55,12 +56,23 @@ def test_each_protocol_has_the_best_of_its_own_rows():
     assert table.notes[1] == f"d: no row that reads {', '.join(absent)}"
 
 
-def test_trials_of_several_seeds_are_one_row():
+def test_trials_of_several_seeds_are_one_row_and_no_more_seeds():
+    """Runs earn 2 and 3 with one training seed, 4 and 7 with the other: 2.5 and 5.5."""
+    earned = {(0, 0): 2.0, (0, 1): 3.0, (1, 0): 4.0, (1, 1): 7.0}
     cells = [
-        cell(seed, [(f"m-t{again} 3 own episodes", 2.0 + again, "trials")])
-        for seed in (0, 1) for again in (0, 1)
-    ]  # fmt: skip
-    ((_, name, mean, interval, _, reached, method, runs, of),) = protocols_table(cells).rows
-    assert (name, mean, reached) == ("3 own episodes", "2.5", "0.25")
-    assert (method, runs, of) == ("m 3 own episodes", "4", "1")
-    assert interval == "[1.6, 3.4]", "Student's t over four runs: 2.5 -+ 3.18 * 0.577 / 2"
+        cell(seed, [(f"m-t{again} 3 own episodes", mean, "trials")])
+        for (seed, again), mean in earned.items()
+    ]
+    ((_, name, mean, interval, _, reached, method, seeds, of),) = protocols_table(cells).rows
+    assert (name, mean, reached) == ("3 own episodes", "4.0", "0.40")
+    assert (method, seeds, of) == ("m 3 own episodes", "2 (4 runs)", "1")
+    assert interval == "[-15.1, 23.1]", "Student's t over two seeds: 4 -+ 12.71 * 1.5"
+
+
+def test_runs_of_one_training_seed_know_nothing_of_others():
+    """The intervals of their episodes, [1, 3] and [3, 5], averaged."""
+    cells = [cell(0, [(f"m-t{again} 3 own episodes", 2.0 + 2 * again, "trials")])
+             for again in (0, 1)]  # fmt: skip
+    ((_, _, mean, interval, _, _, _, seeds, _),) = protocols_table(cells).rows
+    assert (mean, interval, seeds) == ("3.0", "[2.0, 4.0]", "1 (2 runs)")
+    assert task_intervals(cells, "test")["t"]["m 3 own episodes"] == (3.0, 2.0, 4.0)
