@@ -42,8 +42,9 @@ command that makes the line again; this page shows the best {best} methods of ea
   compete. Of mt10 an unseen task is a known one with other goals.
 - **level**: 0 is the random policy of the file, 1 its expert; mean over tasks and seeds. **IQM**:
   the mean of the middle half of all levels of tasks and seeds; its interval resamples seeds within
-  a task, so one seed has none. Both as Agarwal et al. 2021 define them; `rliable` gives the same
-  numbers (`tests/train/evaluate/test_rliable.py`).
+  a task, so one seed has none. Runs that differ in the seed of their trials alone share their
+  weights and are averaged first: "3 (9 runs)" has three seeds. Both as Agarwal et al. 2021 define
+  them; `rliable` gives the same numbers (`tests/train/evaluate/test_rliable.py`).
 - **made by**: study and name of the first seed's cell, which
   `mpdt-train study STUDY --only CELL --restart` makes again; else the whole command.
 - **The first of many** is flattered, the more so the more methods a protocol has; "6 of N" says how
@@ -97,7 +98,7 @@ def _line(one: Standing) -> tuple[str, ...]:
     row, is_known = one.rows[0], one.rows[0].protocol == REFERENCE
     interval = f"[{one.low:.2f}, {one.high:.2f}]" if one.low == one.low else "-"
     return (
-        pooled(row.method), "-" if is_known else str(len(one.rows)), f"{one.mean:,.1f}",
+        pooled(row.method), "-" if is_known else one.seeds, f"{one.mean:,.1f}",
         "-" if one.success is None else f"{one.success:.0%}", f"{one.normalised:.2f}",
         f"{one.iqm:.2f}", interval, f"`{_made_by(row.command)}`" if row.command else "-",
     )  # fmt: skip
@@ -196,7 +197,7 @@ def chance_chart(ranked: Sequence[Standing]) -> Chart:
     for one in ranked[1:]:
         if one.levels.shape[1] == first.levels.shape[1]:
             chance = improvement(first.levels, one.levels)
-            rows.append((f"{one.rows[0].method} ({len(one.rows)})", [Dot("c0", chance)]))
+            rows.append((f"{one.rows[0].method} ({one.seeds})", [Dot("c0", chance)]))
     name = f"{first.rows[0].protocol}: chance that {first.rows[0].method} beats, on one task,"
     drawn = row_chart(
         name, rows, Axis(0.0, 1.0, "chance, 1/2 = neither; in brackets the seeds"), bars=True

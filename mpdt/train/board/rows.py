@@ -5,7 +5,8 @@ leaderboard.csv                                                 one line per row
 
 family, protocol, method, seed     what a row is of; a board has each once
 return ... success                 mean over the tasks; `normalised` is its level
-iqm, low, high, seeds              of all tasks and all rows that differ in the seed alone
+iqm, low, high, seeds              of all tasks and all rows that differ in the seed alone; runs
+                                   that differ in the seed of trials alone are averaged first
 levels                             `task=level` of every task: whatever is made of a board is
                                    made of these, so the file is enough
 """
@@ -93,9 +94,26 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
         return float(np.mean(shares)) if shares else None
 
     @property
+    def num_seeds(self) -> int:
+        return len({row.seed for row in self.rows})
+
+    @property
+    def seeds(self) -> str:
+        runs = len(self.rows)
+        return f"{self.num_seeds} ({runs} runs)" if runs > self.num_seeds else str(runs)
+
+    @property
     def levels(self) -> NDArray[np.float64]:
-        """(R, N) normalised returns."""
-        return np.array([[value for _, value in row.levels] for row in self.rows])
+        """(R, N) normalised returns of R training seeds."""
+        return levels_of(self.rows)
+
+
+def levels_of(rows: Sequence[Row]) -> NDArray[np.float64]:
+    """(R, N): runs of one training seed share its weights and are averaged."""
+    by_seed: dict[str, list[list[float]]] = {}
+    for row in rows:
+        by_seed.setdefault(row.seed, []).append([value for _, value in row.levels])
+    return np.array([np.mean(runs, axis=0) for runs in by_seed.values()])
 
 
 def rows_of(results: Mapping[str, Any], scores: Sequence[Score], family: str,
@@ -156,8 +174,8 @@ def standings(rows: Iterable[Row]) -> list[Standing]:
 
 
 def _standing(rows: tuple[Row, ...]) -> Standing:
-    levels = np.array([[value for _, value in row.levels] for row in rows])
-    low, high = stratified_interval(levels, iqm) if len(rows) > 1 else (math.nan, math.nan)
+    levels = levels_of(rows)
+    low, high = stratified_interval(levels, iqm) if len(levels) > 1 else (math.nan, math.nan)
     return Standing(rows=rows, iqm=iqm(levels), low=low, high=high)
 
 
@@ -167,7 +185,7 @@ def board_csv(rows: Iterable[Row]) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(COLUMNS)
     for one in standings(sorted(rows, key=lambda row: row.key)):
-        together = (_text(one.iqm), _text(one.low), _text(one.high), len(one.rows))
+        together = (_text(one.iqm), _text(one.low), _text(one.high), one.num_seeds)
         for row in one.rows:
             levels = " ".join(f"{task}={_text(value)}" for task, value in row.levels)
             writer.writerow([

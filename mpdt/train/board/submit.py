@@ -18,6 +18,7 @@ from typing import Any
 from mpdt.data.lock.file import LockEntry, read_lock
 from mpdt.disk import holding, write_bytes
 from mpdt.errors import DataError, FormatError, UsageError, quoted
+from mpdt.reading import read_plain
 from mpdt.train.board.rows import REFERENCE, Key, Row, board_csv, read_board, rows_of
 from mpdt.train.evaluate.score import REFERENCES
 from mpdt.train.run.identity import from_record
@@ -81,9 +82,10 @@ def submit(
                     raise _another(before, row, where)
                 replaced += before is not None
                 added[row.key] = row
-        if added:
-            text = board_csv((known | added).values())
-            write_bytes(board, text.encode(), amends=True, like=HEAD)
+        text = board_csv((known | added).values()).encode()
+        # What the columns are made of may have changed since it was written (iqm, low, high).
+        if added or (known and read_plain(board) != text):
+            write_bytes(board, text, amends=True, like=HEAD)
     return Submitted(tuple(added.values()), same, replaced)
 
 
