@@ -30,6 +30,7 @@ from mpdt.train.study.recipes import (
     LONG,
     PLAIN,
     SHOWN,
+    SLOWER,
     SMALLER,
     STARTS,
     TEST,
@@ -84,6 +85,8 @@ _ONE_BLOCK: tuple[Cell, ...] = (
         label="ones-longer-by-steps"),
     # The weights of ml10's ones-long again: few-shot that tunes the map and the head as well.
     *(one("ml10", "MPDT-ones", LONG, ALL_TUNED, TEST, seed=seed, label="few-shot-all")
+      for seed in (0, 1, 2, 3, 4)),
+    *(one("ml10", "MPDT-ones", LONG, ALL_TUNED, SLOWER, TEST, seed=seed, label="few-shot-slower")
       for seed in (0, 1, 2, 3, 4)),
     # What the previous action does to it; Prompt-DT longer, and with no action in its windows and
     # demonstrations.
@@ -169,6 +172,7 @@ _FIFTY: tuple[Cell, ...] = (
     # The weights of MPDT-ones again: few-shot that tunes the map and the head as well.
     *(_fifty("ml45", "MPDT-ones", ALL_TUNED, TEST, seed=seed, label="few-shot-all")
       for seed in (0, 1, 2)),
+    _fifty("ml45", "MPDT-ones", ALL_TUNED, SLOWER, TEST, label="few-shot-slower"),
     *(_fifty(data, PLAIN, {"prompts": changed}, _NOTHING_OR_X, label=label)
       for data in ("ml45", "mt50")
       for label, changed in (("rank-1", {}), ("rank-4", {"rank": 4}), ("rank-10", {"rank": 10}),
@@ -225,6 +229,9 @@ _TRIALS: tuple[Cell, ...] = (
       for trial_seed in (0, 1, 2) for seed in (0, 1, 2)),
     *(_trials("ml10", "alone", seed, trial_seed, "-rewards", _CHOSEN)
       for trial_seed in (0, 1, 2) for seed in (0, 1, 2)),
+    # Clones that learn at the rate that few-shot preferred.
+    *(_trials("ml10", "with_x", seed, 0, "-slower", {**_BEFORE, "lr": 3e-4})
+      for seed in (0, 1, 2)),
     _trials("ml45", "alone", 0, 0, "-mean-rewards", {**_CHOSEN, "mean": True}),
 )  # fmt: skip
 
