@@ -27,7 +27,7 @@ from trials import X_EPISODES, train_without
 
 from mpdt.data.store.reader import open_dataset
 from mpdt.draw.table import markdown_table
-from mpdt.errors import MpdtError
+from mpdt.errors import MpdtError, UsageError
 from mpdt.model.prompts import AdaptedPrompts
 from mpdt.seeding import phase_seed
 from mpdt.train.adapt.infer import explain, recognise
@@ -92,11 +92,14 @@ def main() -> None:
 
 
 def drawn(data: str, words: list[str], draw: int) -> list[str]:
-    """Names as they stand, or so many of the training tasks."""
-    if not words[0].isdigit():
-        return words
+    """Names as they stand, or so many of the training tasks. Raises: UsageError for others."""
     dataset = open_dataset(data)
     names = [dataset.tasks.names[row] for row in dataset.tasks.train_rows]
+    if not words[0].isdigit():
+        if unknown := [word for word in words if word not in names]:
+            raise UsageError("no training tasks", where="--leave-out", found=", ".join(unknown),
+                             expected=", ".join(names))  # fmt: skip
+        return words
     picked = np.random.default_rng(draw).choice(len(names), int(words[0]), replace=False)
     return [names[k] for k in sorted(picked.tolist())]
 

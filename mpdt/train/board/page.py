@@ -42,9 +42,9 @@ command that makes the line again; this page shows the best {best} methods of ea
   compete. Of mt10 an unseen task is a known one with other goals.
 - **level**: 0 is the random policy of the file, 1 its expert; mean over tasks and seeds. **IQM**:
   the mean of the middle half of all levels of tasks and seeds; its interval resamples seeds within
-  a task, so one seed has none. Runs that differ in the seed of their trials alone share their
-  weights and are averaged first: "3 (9 runs)" has three seeds. Both as Agarwal et al. 2021 define
-  them; `rliable` gives the same numbers (`tests/train/evaluate/test_rliable.py`).
+  a task, so one seed has none. Both as Agarwal et al. 2021 define them; `rliable` gives the same
+  numbers (`tests/train/evaluate/test_rliable.py`). Runs of one training seed that differ in the
+  seed of their trials are averaged before: "3 (9 runs)" has three seeds.
 - **made by**: study and name of the first seed's cell, which
   `mpdt-train study STUDY --only CELL --restart` makes again; else the whole command.
 - **The first of many** is flattered, the more so the more methods a protocol has; "6 of N" says how
@@ -192,14 +192,14 @@ def profile_chart(methods: Sequence[Standing]) -> Chart:
 
 
 def chance_chart(ranked: Sequence[Standing]) -> Chart:
-    """Chance that a run of the first beats a run of each other on one task."""
+    """Chance that a seed of the first beats a seed of each other on one task."""
     first, rows = ranked[0], []
     for one in ranked[1:]:
         if one.levels.shape[1] == first.levels.shape[1]:
             chance = improvement(first.levels, one.levels)
-            rows.append((f"{one.rows[0].method} ({one.seeds})", [Dot("c0", chance)]))
+            rows.append((f"{pooled(one.rows[0].method)}, {one.seeds}", [Dot("c0", chance)]))
     name = f"{first.rows[0].protocol}: chance that {first.rows[0].method} beats, on one task,"
     drawn = row_chart(
-        name, rows, Axis(0.0, 1.0, "chance, 1/2 = neither; in brackets the seeds"), bars=True
+        name, rows, Axis(0.0, 1.0, "chance, 1/2 = neither; behind the comma the seeds"), bars=True
     )
     return replace(drawn, width=WIDE, letters=LETTERS)

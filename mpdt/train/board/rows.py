@@ -26,10 +26,11 @@ from numpy.typing import NDArray
 
 from mpdt.errors import FormatError
 from mpdt.reading import read_plain
-from mpdt.train.evaluate.aggregate import iqm, stratified_interval
+from mpdt.train.evaluate.aggregate import iqm, seed_means, stratified_interval
 from mpdt.train.evaluate.score import MEAN, REFERENCES, Score
 from mpdt.train.study.once import pooled
 from mpdt.train.study.protocols import protocol_of
+from mpdt.train.study.summary import told_seeds
 
 TRAINED, REFERENCE, OUTSIDE = "training tasks", "reference", "said by nobody"
 COLUMNS = ("family", "protocol", "method", "seed", "return", "success", "normalised", "iqm", "low",
@@ -82,16 +83,16 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def mean(self) -> float:
-        return float(np.mean([row.mean for row in self.rows]))
+        return float(self._of_seeds("mean").mean())
 
     @property
     def normalised(self) -> float:
-        return float(np.mean([row.normalised for row in self.rows]))
+        return float(self._of_seeds("normalised").mean())
 
     @property
     def success(self) -> float | None:
-        shares = [row.success for row in self.rows if row.success is not None]
-        return float(np.mean(shares)) if shares else None
+        known = [(row.seed, row.success) for row in self.rows if row.success is not None]
+        return float(seed_means(known).mean()) if known else None
 
     @property
     def num_seeds(self) -> int:
@@ -99,21 +100,19 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def seeds(self) -> str:
-        runs = len(self.rows)
-        return f"{self.num_seeds} ({runs} runs)" if runs > self.num_seeds else str(runs)
+        return told_seeds(self.num_seeds, len(self.rows))
 
     @property
     def levels(self) -> NDArray[np.float64]:
-        """(R, N) normalised returns of R training seeds."""
-        return levels_of(self.rows)
+        return _levels(self.rows)
+
+    def _of_seeds(self, name: str) -> NDArray[np.float64]:
+        return seed_means((row.seed, getattr(row, name)) for row in self.rows)
 
 
-def levels_of(rows: Sequence[Row]) -> NDArray[np.float64]:
-    """(R, N): runs of one training seed share its weights and are averaged."""
-    by_seed: dict[str, list[list[float]]] = {}
-    for row in rows:
-        by_seed.setdefault(row.seed, []).append([value for _, value in row.levels])
-    return np.array([np.mean(runs, axis=0) for runs in by_seed.values()])
+def _levels(rows: Sequence[Row]) -> NDArray[np.float64]:
+    """(R, N) normalised returns of R training seeds."""
+    return seed_means((row.seed, [value for _, value in row.levels]) for row in rows)
 
 
 def rows_of(results: Mapping[str, Any], scores: Sequence[Score], family: str,
@@ -166,7 +165,7 @@ def _protocol(score: Score) -> str | None:
 
 
 def standings(rows: Iterable[Row]) -> list[Standing]:
-    """Rows put together that differ in their seed alone, in the order of the first of each."""
+    """Rows put together that differ in their seeds alone, in the order of the first of each."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault(row.group, []).append(row)
@@ -174,7 +173,7 @@ def standings(rows: Iterable[Row]) -> list[Standing]:
 
 
 def _standing(rows: tuple[Row, ...]) -> Standing:
-    levels = levels_of(rows)
+    levels = _levels(rows)
     low, high = stratified_interval(levels, iqm) if len(levels) > 1 else (math.nan, math.nan)
     return Standing(rows=rows, iqm=iqm(levels), low=low, high=high)
 

@@ -32,6 +32,7 @@ def submit_and_show(command: Submit) -> int:
     rows = [row for row in done.added if row.protocol != REFERENCE]
     heading = f"{command.board}   {len(done.added)} rows added, {done.same} were there"
     heading += f", {done.replaced} replaced" if done.replaced else ""
+    heading += ", IQM and intervals made again" if done.remade else ""
     text = "\n".join([heading, *([_table(rows, command.board)] if rows else [])])
     print_result([msgspec.to_builtins(row) for row in done.added], text, command.json)
     return 0

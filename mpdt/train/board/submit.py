@@ -40,6 +40,8 @@ class Submitted:
     same: int
     """Rows that stood there already."""
     replaced: int
+    remade: bool
+    """Whether numbers that are made of all rows were made again, as this version makes them."""
 
 
 def submit(
@@ -84,9 +86,10 @@ def submit(
                 added[row.key] = row
         text = board_csv((known | added).values()).encode()
         # What the columns are made of may have changed since it was written (iqm, low, high).
-        if added or (known and read_plain(board) != text):
+        remade = bool(known) and not added and read_plain(board) != text
+        if added or remade:
             write_bytes(board, text, amends=True, like=HEAD)
-    return Submitted(tuple(added.values()), same, replaced)
+    return Submitted(tuple(added.values()), same, replaced, remade)
 
 
 def rows_at(

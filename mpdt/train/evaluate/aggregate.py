@@ -1,6 +1,7 @@
 """Many runs in one number: interquartile mean, and an interval that resamples runs.
 
-    scores (R, N)    R runs (seeds) of N tasks
+    scores (R, N)    R training seeds of N tasks
+    seed means       runs that share a training seed are averaged before anything else
     IQM              mean of the middle half of all R x N scores
     stratified       runs are drawn with replacement inside every task, 2000 times
     seeds            Student's t over the R means: what verdicts rest on
@@ -18,7 +19,7 @@ tests/train/evaluate/test_rliable.py).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,22 @@ def iqm(scores: NDArray[Any]) -> float:
 
 def mean(scores: NDArray[Any]) -> float:
     return float(np.mean(scores))
+
+
+def seed_means(runs: Iterable[tuple[Hashable, Any]]) -> NDArray[np.float64]:
+    """(R, ...): of R training seeds the mean of their runs, in the order in which seeds come.
+
+    Runs of one training seed differ in the seed of their trials and are not independent.
+
+        (0, 2) (0, 4) (1, 7)  ->  3 7
+
+    Args:
+        runs: (seed, number or array) of each run, all of one shape.
+    """
+    by_seed: dict[Hashable, list[Any]] = {}
+    for seed, values in runs:
+        by_seed.setdefault(seed, []).append(values)
+    return np.array([np.mean(own, axis=0) for own in by_seed.values()], np.float64)
 
 
 def seed_interval(scores: NDArray[Any]) -> tuple[float, float]:

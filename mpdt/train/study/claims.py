@@ -14,12 +14,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 CLAIMED_OF = ("one-block", "fifty")
-"""The studies whose rows the claims name: three seeds of each on cheetah_vel; ml45 and mt50."""
+"""The studies whose rows the claims name."""
 
 _VEL = ("cheetah_vel",)
 _FIFTY = ("ml45", "mt50")
+# Families on which `one-block` plans every method; of mt10 it plans a few.
 _ONE_BLOCK = ("cheetah_vel", "cheetah_dir", "ant_dir", "ml10")
-"""Families on which `one-block` plans every method; of mt10 it plans a few."""
 FAMILIES = (*_ONE_BLOCK, "mt10", *_FIFTY)
 
 # Mean return on unseen tasks, by variant as the paper's tables call it.
@@ -72,16 +72,17 @@ class _Statement:
     def asked_of(self, data: str) -> Claim:
         # `fifty` plans more than one rank and calls MPDT-no-distillation by its rank.
         plain = "rank-1" if data in _FIFTY else "MPDT-no-distillation"
-        ahead, behind = (name.replace("{plain}", plain) for name in (self.ahead, self.behind))
+        ahead, behind = (name.replace(_PLAIN, plain) for name in (self.ahead, self.behind))
         known = _PUBLISHED[data]
         figures = tuple(known[name] for name in self.figures if name in known)
         published = (figures[0], figures[1]) if len(figures) == 2 else None
         return Claim(self.text, data, ahead, behind, published)
 
 
+_PLAIN = "{plain}"
 _CROSS = "from cross, adapted"
-_MEAN = "MPDT-E P_c o mean P_k, not adapted"
-_MEAN_START = "MPDT-E from cross_mean, adapted"
+_MEAN_AS_IS = "MPDT-E P_c o mean P_k, not adapted"
+_MEAN_ADAPTED = "MPDT-E from cross_mean, adapted"
 
 
 def _told_both_ways(
@@ -95,24 +96,24 @@ def _told_both_ways(
 
 
 _STATEMENTS = (
-    _Statement("decomposition helps", f"{{plain}} {_CROSS}", f"Soft-Prompt-TTA {_CROSS}",
+    _Statement("decomposition helps", f"{_PLAIN} {_CROSS}", f"Soft-Prompt-TTA {_CROSS}",
                (*_ONE_BLOCK, *_FIFTY)),
-    *_told_both_ways("distillation helps", "MPDT-E", "{plain}", (*_ONE_BLOCK, *_FIFTY)),
+    *_told_both_ways("distillation helps", "MPDT-E", _PLAIN, (*_ONE_BLOCK, *_FIFTY)),
     _Statement("distillation beats the teacher's prompts as task parts", f"MPDT-E {_CROSS}",
                f"MPDT-teacher-parts {_CROSS}", _VEL, ("MPDT", "teacher parts")),
     # As the paper compares them: another start, and no adaptation.
-    _Statement("P_c, adapted, beats P_c o mean P_k, not adapted", f"MPDT-E {_CROSS}", _MEAN,
+    _Statement("P_c, adapted, beats P_c o mean P_k, not adapted", f"MPDT-E {_CROSS}", _MEAN_AS_IS,
                FAMILIES, ("MPDT", "no TTA")),
     # The same start with and without.
-    _Statement("adaptation on X helps: P_c o mean P_k", _MEAN_START, _MEAN, (*_VEL, *_FIFTY),
-               ("mean start", "no TTA")),
+    _Statement("adaptation on X helps: P_c o mean P_k", _MEAN_ADAPTED, _MEAN_AS_IS,
+               (*_VEL, *_FIFTY), ("mean start", "no TTA")),
     _Statement("adaptation on X helps: one soft prompt for all tasks", f"Soft-Prompt-TTA {_CROSS}",
                "Soft-Prompt-TTA not adapted", (*_ONE_BLOCK, *_FIFTY)),
     _Statement("adaptation on X helps: inferred prompts", "MPDT-E infer, adapted", "MPDT-E infer",
                (*_ONE_BLOCK, "mt10")),
     _Statement("adaptation on X helps: inferred prompts of MPDT-ones", "MPDT-ones infer, adapted",
                "MPDT-ones infer", (*_ONE_BLOCK, "mt10")),
-    _Statement("starting from P_c alone beats P_c o mean P_k", f"MPDT-E {_CROSS}", _MEAN_START,
+    _Statement("starting from P_c alone beats P_c o mean P_k", f"MPDT-E {_CROSS}", _MEAN_ADAPTED,
                (*_VEL, *_FIFTY), ("MPDT", "mean start")),
     _Statement("starting from P_c alone beats P_c o one P_k", f"MPDT-E {_CROSS}",
                "MPDT-E from cross_one, adapted", _VEL, ("MPDT", "one start")),
@@ -127,15 +128,15 @@ _STATEMENTS = (
                      "MPDT-WP", (*_ONE_BLOCK, *_FIFTY)),
     *_told_both_ways("pretrained weights help (against random and frozen)", "MPDT-E",
                      "MPDT-WP-frozen", (*_ONE_BLOCK, *_FIFTY)),
-    *_told_both_ways("rank 10 is better than rank 1", "rank-10", "{plain}", (*_VEL, *_FIFTY),
+    *_told_both_ways("rank 10 is better than rank 1", "rank-10", _PLAIN, (*_VEL, *_FIFTY),
                      ("rank 10", "MPDT")),
-    *_told_both_ways("length 30 is better than length 3", "{plain}", "length-3", (*_VEL, *_FIFTY),
+    *_told_both_ways("length 30 is better than length 3", _PLAIN, "length-3", (*_VEL, *_FIFTY),
                      ("MPDT", "length 3")),
     _Statement("MPDT beats zero-shot Prompt-DT", f"MPDT-E {_CROSS}", "Prompt-DT not adapted",
                FAMILIES, ("MPDT", "Prompt-DT")),
     _Statement("ours: task parts near one can be averaged", "MPDT-ones infer", "mixture infer",
                _VEL),
-    _Statement("ours: their mixture beats the nearest prompt", "MPDT-ones infer", "{plain} infer",
+    _Statement("ours: their mixture beats the nearest prompt", "MPDT-ones infer", f"{_PLAIN} infer",
                _VEL),
     _Statement("ours: MPDT-ones beats Prompt-DT, both told the task by X and rewards",
                "MPDT-ones infer", "Prompt-DT infer", FAMILIES),

@@ -23,8 +23,8 @@ from mpdt.train.study.protocols import (
 )
 from mpdt.train.study.summary import Row, unseen_rows
 
-MEDIUM = "ones-medium"
-"""Cell that was trained on medium episodes alone."""
+MEDIUM = "-medium"
+"""How labels of cells end that were trained on medium episodes alone."""
 INFERRED = ("X+rewards",)
 
 
@@ -39,7 +39,7 @@ class Goal:
         success: least share of successes; None = any.
         reads: what a row may have read of the test tasks to count.
         own: episodes of its own on a test task that a row has read; 0 = none.
-        trained_on: cell that alone counts, for its data are others; "" = any of the usual data.
+        trained_on: end of the labels that alone count, for their data are others; "" = the usual.
     """
 
     data: str
@@ -57,13 +57,13 @@ class Goal:
             more = "X and " if self.reads == X_AND_TRIALS else ""
             return f"{self.data}, {more}{own_episodes(self.own)}"
         if self.trained_on:
-            return f"{self.data}, {self.trained_on.removeprefix('ones-')} data"
+            return f"{self.data}, {self.trained_on.removeprefix('-')} data"
         said = {FEW_SHOT: ", few-shot", NOTHING: ", nothing read", INFERRED: ", inferred"}
         return self.data + said.get(self.reads, "")
 
     def counts(self, row: Row) -> bool:
         label = row.method.split()[0]
-        asked = label == self.trained_on if self.trained_on else label != MEDIUM
+        asked = label.endswith(MEDIUM) == (self.trained_on == MEDIUM)
         return asked and row.reads in self.reads and has_own_episodes(row.method, self.own)
 
 

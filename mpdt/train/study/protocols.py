@@ -17,12 +17,10 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from mpdt.draw.table import Table
-from mpdt.train.evaluate.score import MEAN, REFERENCES
+from mpdt.train.evaluate.score import REFERENCES
 from mpdt.train.study.cells import CellResult
-from mpdt.train.study.once import NOTHING, pooled, told_once
+from mpdt.train.study.once import NOTHING
 from mpdt.train.study.summary import Row, summarise
 
 ZERO_SHOT: tuple[str, ...] = (*NOTHING, "X", "X+rewards")
@@ -97,10 +95,9 @@ def protocols_table(cells: Sequence[CellResult]) -> Table:
 
 def _lines(data: str, cells: Sequence[CellResult]) -> Iterator[tuple[str, ...]]:
     rows = summarise(cells, "test")
-    reached = _normalised(cells)
     for row in rows:
         if row.method in REFERENCES and math.isfinite(row.mean):
-            yield (data, row.method, *_numbers(row, reached), "-", "-", "-")
+            yield (data, row.method, *_numbers(row), "-", "-", "-")
     for protocol in PROTOCOLS:
         known = [
             row for row in rows
@@ -108,22 +105,12 @@ def _lines(data: str, cells: Sequence[CellResult]) -> Iterator[tuple[str, ...]]:
         ]  # fmt: skip
         if known:
             best = max(known, key=lambda row: row.mean)
-            yield (data, protocol.name, *_numbers(best, reached), best.method,
+            yield (data, protocol.name, *_numbers(best), best.method,
                    best.seeds, str(len(known)))  # fmt: skip
 
 
-def _numbers(row: Row, reached: dict[str, float]) -> tuple[str, str, str, str]:
+def _numbers(row: Row) -> tuple[str, str, str, str]:
     low, high = row.interval
     interval = f"[{low:.1f}, {high:.1f}]" if math.isfinite(low + high) else "-"
     success = "-" if row.success is None else f"{row.success:.0%}"
-    return f"{row.mean:.1f}", interval, success, f"{reached.get(row.method, math.nan):.2f}"
-
-
-def _normalised(cells: Sequence[CellResult]) -> dict[str, float]:
-    """Mean normalised return over tasks and runs of each method."""
-    found: dict[str, list[float]] = {}
-    for cell in told_once(cells):
-        for score in cell.scores:
-            if (score.block, score.task) == ("test", MEAN):
-                found.setdefault(pooled(score.method), []).append(score.normalised)
-    return {method: float(np.mean(values)) for method, values in found.items()}
+    return f"{row.mean:.1f}", interval, success, f"{row.normalised:.2f}"

@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.draw.table import Table
-from mpdt.train.evaluate.aggregate import iqm, seed_interval, stratified_interval
+from mpdt.train.evaluate.aggregate import iqm, seed_interval, seed_means, stratified_interval
 from mpdt.train.evaluate.score import MEAN, REFERENCES, Block, Score
 from mpdt.train.study.cells import CellResult, read_cell_files
 from mpdt.train.study.once import pooled, told_once
 from mpdt.train.study.plans import STUDIES
 
-Runs = dict[int, list[list[Score]]]
-"""The scores of every run of one method, by training seed."""
+Runs = list[tuple[int, list[Score]]]
+"""Training seed and scores of every run of one method."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,19 @@ class Row:
     success: float | None
     own_steps: float | None = None
     """Steps of own episodes per task; None where none were read."""
-    num_runs: int | None = None
-    """Where it differs from the seeds: runs of one seed differ in the seed of their trials."""
+    normalised: float = math.nan
+    """Mean over tasks and seeds."""
+    num_runs: int = 1
+    """More than the seeds where runs of one seed differ in the seed of their trials."""
 
     @property
     def seeds(self) -> str:
-        return f"{self.num_seeds} ({self.num_runs} runs)" if self.num_runs else str(self.num_seeds)
+        return told_seeds(self.num_seeds, self.num_runs)
+
+
+def told_seeds(seeds: int, runs: int) -> str:
+    """3 seeds of 9 runs  ->  3 (9 runs)"""
+    return f"{seeds} ({runs} runs)" if runs > seeds else str(seeds)
 
 
 def is_study(folder: Path) -> bool:
@@ -86,9 +93,9 @@ def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:
             if score.block == block:
                 own.setdefault(pooled(score.method), []).append(score)
         for method, scores in own.items():
-            runs = by_method.setdefault(method, {})
+            runs = by_method.setdefault(method, [])
             if method not in REFERENCES or not runs:
-                runs.setdefault(cell.seed, []).append(scores)
+                runs.append((cell.seed, scores))
     first = [method for method in REFERENCES if method in by_method]
     return [_row(by_method[m], m) for m in [*first, *(m for m in by_method if m not in first)]]
 
@@ -117,8 +124,7 @@ def task_intervals(
         for score in cell.scores:
             if score.block == block and score.task != MEAN:
                 methods = found.setdefault(score.task, {})
-                runs = methods.setdefault(pooled(score.method), {})
-                runs.setdefault(cell.seed, []).append([score])
+                methods.setdefault(pooled(score.method), []).append((cell.seed, [score]))
     return {
         task: {method: _interval_of(method, scores) for method, scores in methods.items()}
         for task, methods in found.items()
@@ -126,52 +132,45 @@ def task_intervals(
 
 
 def _interval_of(method: str, runs: Runs) -> tuple[float, float, float]:
-    ((first, *_), *_) = next(iter(runs.values()))
+    """Mean return on one task, and its interval."""
     if method in REFERENCES:
-        return (first.mean, *_of_episodes([first]))
-    means = _matrix(runs, [first.task], "mean")
-    if len(means) == 1:
-        own = [score for scores in runs.values() for (score,) in scores]
-        return (float(means.mean()), *_of_episodes(own))
-    return (float(means.mean()), *seed_interval(means))
+        runs = runs[:1]
+    scores = [score for _, own in runs for score in own]
+    means = _by_seed(runs, [scores[0].task], "mean")
+    return (float(means.mean()), *_interval(means, scores))
 
 
-def _of_episodes(runs: Sequence[Score]) -> tuple[float, float]:
-    """Of one seed; unknown where every task has one episode, which resampling cannot move.
+def _interval(means: NDArray[np.float64], scores: Sequence[Score]) -> tuple[float, float]:
+    """Over the R seeds of means (R, N); of one seed over the episodes of its runs.
 
-    Of several runs of that seed the mean of their ends: they may err together.
+    That is unknown where every task has one episode, which resampling cannot move; of several
+    runs it is the mean of their ends, since they may err together.
     """
-    low, high = (float(np.mean([getattr(one, end) for one in runs])) for end in ("low", "high"))
+    if len(means) > 1:
+        return seed_interval(means)
+    low, high = (float(np.mean([getattr(one, end) for one in scores])) for end in ("low", "high"))
     return (low, high) if low < high else (math.nan, math.nan)
 
 
 def _row(runs: Runs, method: str) -> Row:
-    every = [scores for own in runs.values() for scores in own]
-    tasks = [score.task for score in every[0] if score.task != MEAN]
-    means, levels = (_matrix(runs, tasks, name) for name in ("mean", "normalised"))
-    overall = [score for scores in every for score in scores if score.task == MEAN]
-    interval = _of_episodes(overall)
-    level_interval = (math.nan, math.nan)
-    if len(runs) > 1:
-        interval = seed_interval(means)
-        level_interval = stratified_interval(levels, iqm)
-    shares = [score.success for score in overall if score.success is not None]
+    tasks = [score.task for score in runs[0][1] if score.task != MEAN]
+    means, levels = (_by_seed(runs, tasks, name) for name in ("mean", "normalised"))
+    overall = [score for _, scores in runs for score in scores if score.task == MEAN]
+    shares = [(seed, score.success) for seed, scores in runs for score in scores
+              if score.task == MEAN and score.success is not None]  # fmt: skip
     return Row(
-        method=method, reads=overall[0].reads or "-", num_seeds=len(runs),
-        mean=float(means.mean()), interval=interval, iqm=iqm(levels),
-        iqm_interval=level_interval, success=float(np.mean(shares)) if shares else None,
-        own_steps=overall[0].own_steps, num_runs=len(every) if len(every) > len(runs) else None,
+        method=method, reads=overall[0].reads or "-", num_seeds=len(means),
+        mean=float(means.mean()), interval=_interval(means, overall), iqm=iqm(levels),
+        iqm_interval=stratified_interval(levels, iqm) if len(means) > 1 else (math.nan, math.nan),
+        success=float(seed_means(shares).mean()) if shares else None,
+        own_steps=overall[0].own_steps, normalised=float(levels.mean()), num_runs=len(runs),
     )  # fmt: skip
 
 
-def _matrix(runs: Runs, tasks: Sequence[str], name: str) -> NDArray[np.float64]:
-    """(R, N) of one number of the scores: R training seeds, the runs of each averaged."""
-
-    def of_run(scores: Sequence[Score]) -> list[float]:
-        at = {score.task: float(getattr(score, name)) for score in scores}
-        return [at[task] for task in tasks]
-
-    return np.array([np.mean([of_run(scores) for scores in own], axis=0) for own in runs.values()])
+def _by_seed(runs: Runs, tasks: Sequence[str], name: str) -> NDArray[np.float64]:
+    """(R, N) of one number of the scores."""
+    found = [(seed, {one.task: float(getattr(one, name)) for one in own}) for seed, own in runs]
+    return seed_means((seed, [of_task[task] for task in tasks]) for seed, of_task in found)
 
 
 def study_tables(cells: Sequence[CellResult], *studies: str) -> list[Table]:
@@ -205,8 +204,8 @@ def _table(title: str, rows: Sequence[Row], told: bool, notes: tuple[str, ...]) 
     columns += ["own steps per task"] if tried else []
     cells = []
     for row in rows:
-        line = [row.method, _number(row.mean, 1), _interval(row.interval, 1),
-                _number(row.iqm, 2), _interval(row.iqm_interval, 2)]  # fmt: skip
+        line = [row.method, _number(row.mean, 1), _ends(row.interval, 1),
+                _number(row.iqm, 2), _ends(row.iqm_interval, 2)]  # fmt: skip
         if has_success:
             line.append("-" if row.success is None else f"{row.success:.0%}")
         line += [row.reads] if told else []
@@ -221,7 +220,7 @@ def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
-def _interval(ends: tuple[float, float], digits: int) -> str:
+def _ends(ends: tuple[float, float], digits: int) -> str:
     low, high = (_number(end, digits) for end in ends)
     return f"[{low}, {high}]" if math.isfinite(sum(ends)) else "-"
 

@@ -86,19 +86,20 @@ def test_seeds_stand_together_and_the_file_is_the_board(tmp_path, lock):
 
 
 def test_seeds_of_trials_are_no_seeds_of_training():
-    """Levels of seed 0: .2 and .4, of seed 1: .6 and .8; each seed is the mean of its own."""
+    """Levels of seed 0: .2 and .4, of seed 1: .6 alone; each seed counts once."""
     rows = [
         Row(family="ml10", protocol="3 own episodes", method=f"m-t{again} 3 own episodes",
-            seed=str(seed), mean=10 * level, success=None, normalised=level, reads="trials",
+            seed=str(seed), mean=10 * level, success=level, normalised=level, reads="trials",
             episodes=2, horizon=9, data="ml10 1.0.0", content_hash=CONTENT, code="mpdt 0.1.0",
             command="", levels=(("left", level),))
-        for seed, again, level in ((0, 0, 0.2), (0, 1, 0.4), (1, 0, 0.6), (1, 1, 0.8))
+        for seed, again, level in ((0, 0, 0.2), (0, 1, 0.4), (1, 0, 0.6))
     ]  # fmt: skip
     (one,) = standings(rows)
-    assert (one.seeds, one.num_seeds) == ("2 (4 runs)", 2)
-    assert one.levels.ravel().tolist() == pytest.approx([0.3, 0.7])
-    assert (one.low, one.high) == pytest.approx((0.3, 0.7)) and one.mean == 5.0
-    assert "| m 3 own episodes | 2 (4 runs) | 5.0 |" in board_page(rows, [], "")
+    assert (one.seeds, one.num_seeds) == ("2 (3 runs)", 2)
+    assert one.levels.ravel().tolist() == pytest.approx([0.3, 0.6])
+    assert (one.low, one.high) == pytest.approx((0.3, 0.6))
+    assert [one.mean, one.success, one.normalised, one.iqm] == pytest.approx([4.5] + 3 * [0.45])
+    assert "| m 3 own episodes | 2 (3 runs) | 4.5 | 45% | 0.45 |" in board_page(rows, [], "")
     (one,) = standings(rows[:2])
     assert one.seeds == "1 (2 runs)" and math.isnan(one.low)
 
@@ -111,7 +112,9 @@ def test_columns_that_are_made_of_others_are_made_again(tmp_path, lock):
     whole = board.read_text()
     assert whole.count(",0.5000,") == 2
     board.write_text(whole.replace(",0.5000,", ",0.7777,"))
-    assert submit(places, board, lock).added == () and board.read_text() == whole
+    done = submit(places, board, lock)
+    assert (done.added, done.remade) == ((), True) and board.read_text() == whole
+    assert not submit(places, board, lock).remade
 
 
 def test_order_does_not_matter(tmp_path, lock):

@@ -152,11 +152,11 @@ def test_a_goal_of_success_alone_is_judged_by_the_row_of_most_success(monkeypatc
 
 
 def test_a_goal_of_other_data_looks_at_its_own_cell_and_the_usual_ones_pass_it_by():
-    rows = [row(1, 2, "ones-medium infer"), row(1, 2, "ones-long infer")]
-    rows = [replace(one, reads="X+rewards") for one in rows]
+    labels = ("ones-medium", "ones-long", "plain-medium")
+    rows = [replace(row(1, 2, f"{label} infer"), reads="X+rewards") for label in labels]
     usual, medium = Goal("mt50", None), Goal("mt50", None, trained_on=goals.MEDIUM)
-    assert [usual.counts(one) for one in rows] == [False, True]
-    assert [medium.counts(one) for one in rows] == [True, False]
+    assert [usual.counts(one) for one in rows] == [False, True, False]
+    assert [medium.counts(one) for one in rows] == [True, False, True]
     assert medium.name == "mt50, medium data"
     inferred = Goal("mt50", None, reads=goals.INFERRED)
     assert inferred.name == "mt50, inferred" and inferred.counts(rows[1])

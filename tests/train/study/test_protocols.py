@@ -9,10 +9,10 @@ from mpdt.train.study.protocols import PROTOCOLS, protocols_table, split_own
 from mpdt.train.study.summary import task_intervals
 
 
-def cell(seed, rows):
+def cell(seed, rows, success=None):
     scores = [
         Score(block="test", task=task, method=method, mean=mean, low=mean - 1, high=mean + 1,
-              normalised=mean / 10, success=None, reads=reads)
+              normalised=mean / 10, success=success, reads=reads)
         for method, mean, reads in rows for task in (MEAN, "t")
     ]  # fmt: skip
     return CellResult("d", "m", seed, tuple(scores), {})
@@ -67,6 +67,16 @@ def test_trials_of_several_seeds_are_one_row_and_no_more_seeds():
     assert (name, mean, reached) == ("3 own episodes", "4.0", "0.40")
     assert (method, seeds, of) == ("m 3 own episodes", "2 (4 runs)", "1")
     assert interval == "[-15.1, 23.1]", "Student's t over two seeds: 4 -+ 12.71 * 1.5"
+
+
+def test_a_seed_counts_once_however_many_runs_it_has():
+    """Three runs of 2 without a success, one run of 8 with one."""
+    earned = [(0, 0, 2.0, 0.0), (0, 1, 2.0, 0.0), (0, 2, 2.0, 0.0), (1, 0, 8.0, 1.0)]
+    cells = [cell(seed, [(f"m-t{again} 3 own episodes", mean, "trials")], success)
+             for seed, again, mean, success in earned]  # fmt: skip
+    ((_, _, mean, _, success, level, _, seeds, _),) = protocols_table(cells).rows
+    assert (mean, success, level, seeds) == ("5.0", "50%", "0.50", "2 (4 runs)")
+    assert task_intervals(cells, "test")["t"]["m 3 own episodes"][0] == 5.0
 
 
 def test_runs_of_one_training_seed_know_nothing_of_others():
