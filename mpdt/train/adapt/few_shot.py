@@ -55,7 +55,7 @@ class FewShotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     per_task: int = 16
     """Windows per update."""
     lr: float = 1e-3
-    """3e-4 is better where every weight is tuned (docs/decisions/0011)."""
+    """Where every weight is tuned, held-out classes preferred 3e-4 (docs/decisions/0011)."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "updates", "per_task"):
