@@ -204,13 +204,14 @@ _CHOSEN: Mapping[str, Any] = {"infer": "rewards", "search": "climb"}
 
 def _trials(
     data: str, row: str, seed: int, trial_seed: int, label: str = "",
-    changes: Mapping[str, Any] = _BEFORE,
+    changes: Mapping[str, Any] = _BEFORE, size: Mapping[str, Any] | None = None,
 ) -> Cell:  # fmt: skip
     """One row of the protocol alone; fresh goals are judged 20 times a task."""
     adapt = {"starts": ["trials"], "trials": {"episodes": [1, 3, 10], "rows": [row],
                                               "seed": trial_seed, **changes}}  # fmt: skip
     judged = {"evaluation": {"blocks": ["test"], "episodes": 20}}
-    size = {VEL: {}, "ml45": _FIFTY_SIZE, "ant_dir_endless": ANT_LONG}.get(data, LONG)
+    usual = {VEL: {}, "ml45": _FIFTY_SIZE, "ant_dir_endless": ANT_LONG}.get(data, LONG)
+    size = usual if size is None else size
     name = row.replace("_", "-") + label
     return one(data, "MPDT-ones", size, {"adapt": adapt}, judged, seed=seed,
                 label=f"ones-{name}-t{trial_seed}")  # fmt: skip
@@ -226,6 +227,9 @@ _TRIALS: tuple[Cell, ...] = (
     *(_trials("ml45", row, 0, 0, "-mean", _WITH_MEAN) for row in ("with_x", "alone")),
     _trials("ant_dir_endless", "alone", 0, 0),
     *(_trials(VEL, "alone", seed, trial_seed, "-climb", _CHOSEN)
+      for trial_seed in (0, 1, 2) for seed in (0, 1, 2)),
+    # The weights of one-block's ones-long on cheetah_vel.
+    *(_trials(VEL, "alone", seed, trial_seed, "-long", _CHOSEN, ANT_LONG)
       for trial_seed in (0, 1, 2) for seed in (0, 1, 2)),
     *(_trials("ml10", "alone", seed, trial_seed, "-rewards", _CHOSEN)
       for trial_seed in (0, 1, 2) for seed in (0, 1, 2)),
