@@ -23,7 +23,7 @@ from mpdt.errors import FormatError
 from mpdt.reading import read_plain
 from mpdt.train.board.rows import REFERENCE, TRAINED, Row, Standing, standings
 from mpdt.train.evaluate.aggregate import improvement, profile
-from mpdt.train.study.once import place_in_studies, pooled
+from mpdt.train.study.once import place_in_studies
 from mpdt.train.study.protocols import PROTOCOLS
 
 READS_NOTHING = PROTOCOLS[0].name
@@ -98,7 +98,7 @@ def _line(one: Standing) -> tuple[str, ...]:
     row, is_known = one.rows[0], one.rows[0].protocol == REFERENCE
     interval = f"[{one.low:.2f}, {one.high:.2f}]" if one.low == one.low else "-"
     return (
-        pooled(row.method), "-" if is_known else one.seeds, f"{one.mean:,.1f}",
+        one.method, "-" if is_known else one.seeds, f"{one.mean:,.1f}",
         "-" if one.success is None else f"{one.success:.0%}", f"{one.normalised:.2f}",
         f"{one.iqm:.2f}", interval, f"`{_made_by(row.command)}`" if row.command else "-",
     )  # fmt: skip
@@ -134,7 +134,7 @@ def _told_once(found: Sequence[Standing]) -> list[Standing]:
 
     def place(one: Standing) -> tuple[int, int]:
         row = one.rows[0]
-        return -len(one.rows), place_in_studies(row.family, pooled(row.method.split(" ")[0]))
+        return -len(one.rows), place_in_studies(row.family, one.method.split(" ")[0])
 
     kept: list[Standing] = []
     seen: set[tuple[float, tuple[tuple[str, float], ...]]] = set()
@@ -172,7 +172,7 @@ def draw_board(rows: Sequence[Row], folder: Path) -> list[Path]:
         firsts = [found[0] for found in ranked]
         charts = [profile_chart(firsts)]
         charts += [chance_chart(found[: BEST + 1]) for found in ranked if len(found) > 1]
-        legend = [(f"c{i}", f"{one.rows[0].protocol}: {one.rows[0].method}")
+        legend = [(f"c{i}", f"{one.rows[0].protocol}: {one.method}")
                   for i, one in enumerate(firsts)]  # fmt: skip
         made.append(folder / picture_name(family))
         title = f"{family}: the best method of each protocol, and how sure its place is"
@@ -197,8 +197,8 @@ def chance_chart(ranked: Sequence[Standing]) -> Chart:
     for one in ranked[1:]:
         if one.levels.shape[1] == first.levels.shape[1]:
             chance = improvement(first.levels, one.levels)
-            rows.append((f"{pooled(one.rows[0].method)}, {one.seeds}", [Dot("c0", chance)]))
-    name = f"{first.rows[0].protocol}: chance that {first.rows[0].method} beats, on one task,"
+            rows.append((f"{one.method}, {one.seeds}", [Dot("c0", chance)]))
+    name = f"{first.rows[0].protocol}: chance that {first.method} beats, on one task,"
     drawn = row_chart(
         name, rows, Axis(0.0, 1.0, "chance, 1/2 = neither; behind the comma the seeds"), bars=True
     )

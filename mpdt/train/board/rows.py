@@ -82,6 +82,11 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
     """95 % interval of the IQM; nan for one seed, which knows nothing of others."""
 
     @property
+    def method(self) -> str:
+        """Without the seed of trials, which its rows may differ in."""
+        return pooled(self.rows[0].method)
+
+    @property
     def mean(self) -> float:
         return float(self._of_seeds("mean").mean())
 
