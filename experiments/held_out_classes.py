@@ -67,15 +67,7 @@ def ways(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data")
-    parser.add_argument("--cell", required=True)
-    parser.add_argument("--run", type=Path, required=True)
-    parser.add_argument("--leave-out", nargs="+", default=["9"])
-    parser.add_argument("--draw", type=int, default=0)
-    parser.add_argument("--episodes", type=int, default=10)
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args()
+    args = parser_of(__doc__).parse_args()
     try:
         left_out = drawn(args.data, args.leave_out, args.draw)
         print("left out:", *left_out, flush=True)
@@ -89,6 +81,19 @@ def main() -> None:
     if args.json:
         content = {"left_out": left_out, "episodes": args.episodes, "seed": SEED, "ways": found}
         args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def parser_of(about: str) -> argparse.ArgumentParser:
+    """What is trained on what, without which classes, and judged how long."""
+    parser = argparse.ArgumentParser(description=about.splitlines()[0])
+    parser.add_argument("data")
+    parser.add_argument("--cell", required=True)
+    parser.add_argument("--run", type=Path, required=True)
+    parser.add_argument("--leave-out", nargs="+", default=["9"])
+    parser.add_argument("--draw", type=int, default=0)
+    parser.add_argument("--episodes", type=int, default=10)
+    parser.add_argument("--json", type=Path)
+    return parser
 
 
 def drawn(data: str, words: list[str], draw: int) -> list[str]:

@@ -11,16 +11,14 @@ judged on other goals than the labelled ones. Test tasks are not touched.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
-from held_out_classes import drawn
+from held_out_classes import drawn, parser_of
 from trained import SEED
 from trials import train_without
 
@@ -36,15 +34,8 @@ EVERY_WEIGHT = FewShotSettings(qualities=("expert",), tuned="all", updates=300)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data")
-    parser.add_argument("--cell", required=True)
-    parser.add_argument("--run", type=Path, required=True)
-    parser.add_argument("--leave-out", nargs="+", default=["9"])
-    parser.add_argument("--draw", type=int, default=0)
-    parser.add_argument("--episodes", type=int, default=10)
+    parser = parser_of(__doc__)
     parser.add_argument("--try", dest="tries", nargs="+", action="append", required=True)
-    parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     try:
         settings = {" ".join(words): settings_of(words) for words in args.tries}
