@@ -5,7 +5,7 @@
 
 Intervals of a mean return: with several training seeds Student's t over them; with one seed its
 evaluation episodes are resampled, which says nothing about other seeds. Runs that share a training
-seed (seeds of trials) share its weights: they are averaged first and count as one. Of an IQM: the
+seed (seeds of trials) are not independent: they are averaged first and count as one. Of an IQM: the
 stratified bootstrap of its authors, too narrow for a few seeds (`aggregate.py`).
 """
 
