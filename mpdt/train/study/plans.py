@@ -192,7 +192,10 @@ _FIFTY: tuple[Cell, ...] = (
     # Three times the updates.
     *(_fifty(data, "MPDT-ones", {"multitask": {"steps": 16500}}, _NOTHING_OR_X, label="ones-longer")
       for data in ("mt50", "ml45")),
-    # Its weights again, with the nearest task's prompt alone.
+    # The published start had the better training tasks in as many updates, on mt50 and on mt10.
+    _fifty("mt50", PLAIN, {"multitask": {"steps": 16500}}, _NOTHING_OR_X, BY_STEPS,
+           label="plain-longer"),
+    # Weights of ones-longer again, with the nearest task's prompt alone.
     _fifty("mt50", "MPDT-ones", {"multitask": {"steps": 16500}}, INFER, TEST,
            {"adapt": {"infer": {"tasks": 1}}}, label="ones-longer-nearest"),
     # And with X told by its steps, not by its rewards alone (0010).
