@@ -67,7 +67,8 @@ class Goal:
         return asked and row.reads in self.reads and has_own_episodes(row.method, self.own)
 
 
-# What the best published figures and prototypes made look reachable, not what was reached.
+# Set on 2026-11-29: what published figures, prototypes and rows then on record made look reachable.
+# cheetah_vel's -18.6 is what three seeds had; cheetah_dir, ant_dir stood near theirs already.
 # cheetah_dir and ant_dir: 0.97 and 0.95 of what the expert earns.
 GOALS = (
     Goal("cheetah_dir", 1163, 0.9, 50.32),
@@ -124,8 +125,11 @@ def _goal_line(cells: Sequence[CellResult], goal: Goal) -> tuple[str, ...]:
     )
     trained = "-" if math.isnan(share) else _short_of(share, goal.share)
     reached = f"{best.mean:.1f} [{best.interval[0]:.1f}, {best.interval[1]:.1f}]"
+    verdict = "met" if met else "missed"
+    if met and goal.mean is not None and best.interval[0] < goal.mean:
+        verdict = "met, within error"
     return (
-        goal.name, "met" if met else "missed", wanted,
+        goal.name, verdict, wanted,
         reached if best.success is None else f"{reached}, {best.success:.0%}",
         f"{best.method} ({best.reads}; seeds: {best.seeds}; best of {len(tried)})",
         trained if goal.share is None else f"{trained} of {goal.share:g}",

@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,6 +51,8 @@ class Row:
     """Mean over tasks and seeds."""
     num_runs: int = 1
     """More than the seeds where runs of one seed differ in the seed of their trials."""
+    dtype: str = "-"
+    """Numbers that the language model was trained in; "both" where its runs differ."""
 
     @property
     def seeds(self) -> str:
@@ -87,6 +89,7 @@ def read_cells(folder: Path) -> list[CellResult]:
 def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:
     """Rows of one data set: references once, then the methods in the order of the cells."""
     by_method: dict[str, Runs] = {}
+    dtypes: dict[str, set[str]] = {}
     for cell in told_once(cells):
         own: dict[str, list[Score]] = {}
         for score in cell.scores:
@@ -96,8 +99,15 @@ def summarise(cells: Sequence[CellResult], block: Block) -> list[Row]:
             runs = by_method.setdefault(method, [])
             if method not in REFERENCES or not runs:
                 runs.append((cell.seed, scores))
+                dtypes.setdefault(method, set()).add(_dtype(cell))
     first = [method for method in REFERENCES if method in by_method]
-    return [_row(by_method[m], m) for m in [*first, *(m for m in by_method if m not in first)]]
+    ordered = [*first, *(method for method in by_method if method not in first)]
+    return [_row(by_method[method], method, dtypes[method]) for method in ordered]
+
+
+def _dtype(cell: CellResult) -> str:
+    found: str = dict(cell.content.get("backbone") or {}).get("dtype", "-")
+    return found
 
 
 def unseen_rows(cells: Sequence[CellResult], data: str) -> dict[str, Row]:
@@ -152,7 +162,7 @@ def _interval(means: NDArray[np.float64], scores: Sequence[Score]) -> tuple[floa
     return (low, high) if low < high else (math.nan, math.nan)
 
 
-def _row(runs: Runs, method: str) -> Row:
+def _row(runs: Runs, method: str, dtypes: Set[str]) -> Row:
     tasks = [score.task for score in runs[0][1] if score.task != MEAN]
     means, levels = (_by_seed(runs, tasks, name) for name in ("mean", "normalised"))
     overall = [score for _, scores in runs for score in scores if score.task == MEAN]
@@ -164,6 +174,7 @@ def _row(runs: Runs, method: str) -> Row:
         iqm_interval=stratified_interval(levels, iqm) if len(means) > 1 else (math.nan, math.nan),
         success=float(seed_means(shares).mean()) if shares else None,
         own_steps=overall[0].own_steps, normalised=float(levels.mean()), num_runs=len(runs),
+        dtype="both" if len(dtypes) > 1 else min(dtypes),
     )  # fmt: skip
 
 
@@ -212,8 +223,8 @@ def _table(title: str, rows: Sequence[Row], told: bool, notes: tuple[str, ...]) 
         if tried:
             line.append("-" if row.own_steps is None else f"{row.own_steps:,.0f}")
         known = row.method in REFERENCES
-        cells.append((*line, "-" if known else row.seeds))
-    return Table(title, (*columns, "seeds"), tuple(cells), notes)
+        cells.append((*line, *("--" if known else (row.dtype, row.seeds))))
+    return Table(title, (*columns, "numbers", "seeds"), tuple(cells), notes)
 
 
 def _number(value: float, digits: int) -> str:

@@ -187,6 +187,15 @@ def test_seeds_are_put_together_by_hand():
     assert zero.method == "zero action" and zero.num_seeds == 1, "references once"
 
 
+def test_a_row_says_which_numbers_its_runs_were_trained_in():
+    """bfloat16 and float32 are other processors and other weights: mixed seeds are told."""
+    cells = [replace(cell(seed, 2.0, 4.0), content={"backbone": {"dtype": dtype}})
+             for seed, dtype in enumerate(("float32", "float32", "bfloat16"))]  # fmt: skip
+    found = [summarise(some, "test")[1].dtype for some in (cells[:1], cells[:2], cells)]
+    assert found == ["float32", "float32", "both"]
+    assert study_tables(cells)[0].rows[1][-2:] == ("both", "3")
+
+
 def test_one_seed_has_the_interval_of_its_episodes_and_none_of_runs():
     _, row = summarise([cell(0, 2.0, 4.0)], "test")
     assert row.interval == (2.0, 4.0) and math.isnan(row.iqm_interval[0])
@@ -220,7 +229,8 @@ def test_tables_tell_what_was_not_run(monkeypatch):
     monkeypatch.setitem(STUDIES, "s", (Cell("d", "m"), Cell("d", "m", 1), Cell("e", "m")))
     (table,) = study_tables([cell(0, 2.0, 4.0)], "s")
     assert table.notes == ("not run: d.m.s1", "no cell run: e")
-    assert table.rows[1] == ("m infer", "3.0", "[2.0, 4.0]", "0.30", "-", "X+rewards", "1")
+    assert table.rows[1] == ("m infer", "3.0", "[2.0, 4.0]", "0.30", "-", "X+rewards", "-", "1")
+    assert table.rows[0][-2:] == ("-", "-"), "zero action"
     line = cells_csv([cell(0, 2.0, 4.0)]).splitlines()[4]
     assert line == "d,m,0,m infer,test,a,2.0,1.0,3.0,0.2,,X+rewards"
 
