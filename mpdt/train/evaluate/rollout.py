@@ -35,7 +35,8 @@ class EvaluationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     """Episodes in the simulator after training."""
 
     episodes: int = 5
-    """Episodes (= evaluation seeds) per task."""
+    """Episodes (= evaluation seeds) per task. Where goals are held out (mt10, mt50: five of a task)
+    they are taken in turn, and more episodes repeat them."""
     train_episodes: int = 0
     """The same for training tasks, of which there may be dozens; 0 = `episodes`."""
     seed: int = 0

@@ -1,8 +1,9 @@
 """Scores: what a method returned on a task, beside the references; results.json holds them.
 
 A `Score` is one method on one task. Intervals are 95 % percentile bootstraps over the
-evaluation seeds; the interval of a mean over tasks resamples the seeds inside every task,
-so it says how far other seeds would move the number, not how far other tasks would.
+evaluation seeds, over goals where episodes share a few of them; the interval of a mean over tasks
+resamples the seeds inside every task, so it says how far other seeds would move the number, not
+how far other tasks would.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.data.reference import Reference, level
-from mpdt.train.evaluate.aggregate import bootstrap
+from mpdt.train.evaluate.aggregate import bootstrap, goal_means
 from mpdt.train.evaluate.sealed import sealed
 
 Block = Literal["train", "test"]
@@ -66,23 +67,26 @@ def scores_of(
     random: NDArray[np.float64],
     expert: NDArray[np.float64],
     reads: Reads | None = None,
+    goals: int | None = None,
 ) -> list[Score]:
     """One score per task and one for their mean.
 
     Args:
         returns, successes: (n, E), as `evaluate` gives them.
         random, expert: (n,) reference returns of the file.
+        goals: of a task, which its episodes take in turn; None = each has its own.
     """
+    apart = returns if goals is None else goal_means(returns, goals)
     scores = []
     for i, task in enumerate(tasks):
         mean = float(returns[i].mean())
-        low, high = bootstrap(returns[i : i + 1])
+        low, high = bootstrap(apart[i : i + 1])
         share = None if successes is None else float(successes[i].mean())
         reached = level(mean, float(random[i]), float(expert[i]))
         scores.append(Score(block=block, task=task, method=method, mean=mean, low=low, high=high,
                             normalised=reached, success=share, reads=reads,
                             num_episodes=returns.shape[1]))  # fmt: skip
-    low, high = bootstrap(returns)
+    low, high = bootstrap(apart)
     levels = [score.normalised for score in scores]
     share = None if successes is None else float(successes.mean())
     mean_score = Score(block=block, task=MEAN, method=method, mean=float(returns.mean()), low=low,

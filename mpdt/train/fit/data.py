@@ -82,6 +82,13 @@ class Material:
         draw = self.goals.training_key if block == "train" else self.goals.held_out_key
         return draw(key, 1)
 
+    def num_goals(self, block: str) -> int | None:
+        """Goals of a task that `goal_key` takes in turn; None: as many as episodes."""
+        if self.goals is None:
+            return None
+        held_out = self.goals.held_out
+        return self.goals.count - held_out if block == "train" else held_out
+
     def tasks(self, rows: Sequence[int]) -> list[Task]:
         """The family's tasks behind rows of the file."""
         return [self.family.task(self.dataset.tasks.names[row]) for row in rows]

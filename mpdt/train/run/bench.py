@@ -96,8 +96,9 @@ class Bench:
         """As rows of the table."""
         random, expert = self._means("random", rows), self._means("expert", rows)
         return scores_of(
-            block, method, found.tasks, found.returns, found.successes, random, expert, reads
-        )
+            block, method, found.tasks, found.returns, found.successes, random, expert, reads,
+            self.material.num_goals(block),
+        )  # fmt: skip
 
     def references(self, block: Block, rows: Sequence[int]) -> list[Score]:
         """The rows of zero action, random, best constant and expert."""

@@ -80,9 +80,6 @@ _ONE_BLOCK: tuple[Cell, ...] = (
     # The published start without distillation: on mt50's training tasks it stood at 0.90 of the
     # expert after as many updates as MPDT-ones needed for 0.83 (the latter in bfloat16).
     *(one("mt10", PLAIN, LONG, STARTS, seed=seed, label="plain-long") for seed in (0, 1, 2)),
-    # Its weights again, on ten times the goals: 50 are too few to tell 97 from 98 %.
-    *(one("mt10", PLAIN, LONG, INFER, {"evaluation": {"episodes": 50, "train_episodes": 5}},
-          seed=seed, label="plain-long-judged") for seed in (0, 1, 2)),
     # The weights of ones-longer again, with X told by its steps, not by its rewards alone (0010).
     one("mt10", "MPDT-ones", LONG, {"multitask": {"steps": 9000}}, INFER, TEST, BY_STEPS,
         label="ones-longer-by-steps"),

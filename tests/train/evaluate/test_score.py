@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mpdt.data.reference import UNKNOWN, Reference
+from mpdt.train.evaluate.aggregate import goal_means
 from mpdt.train.evaluate.score import (
     EXPERT,
     MEAN,
@@ -32,6 +33,29 @@ def test_scores_by_hand():
     assert (second.mean, second.normalised, second.success) == (0.0, 0.5, 0.0)
     assert (mean.task, mean.mean, mean.normalised) == (MEAN, 10.0, 0.5)
     assert (mean.success, mean.num_episodes) == (0.25, 4)
+
+
+@pytest.mark.parametrize("times", [1, 2, 10])
+def test_goals_that_come_again_do_not_make_an_interval_narrower(times):
+    """Five goals in turn, of two tasks: whatever E, they are five episodes of each."""
+    returns = np.array([[0.0, 10, 20, 30, 40], [0.0, 0, 0, 0, 50]])
+    known = {"random": np.zeros(2), "expert": np.ones(2)}
+    again = np.tile(returns, times)
+    once, shared = (scores_of("test", "m", ["a", "b"], each, again_wins, **known, goals=goals)
+                    for each, again_wins, goals in ((returns, returns > 0, None),
+                                                    (again, again > 0, 5)))  # fmt: skip
+    for one, other in zip(once, shared, strict=True):
+        assert (one.mean, one.low, one.high, one.success) == (
+            other.mean, other.low, other.high, other.success)  # fmt: skip
+    assert shared[0].num_episodes == 5 * times
+    narrow = scores_of("test", "m", ["a", "b"], again, None, **known)
+    assert times == 1 or narrow[-1].high - narrow[-1].low < once[-1].high - once[-1].low
+
+
+def test_goals_that_do_not_come_equally_often_count_once_each():
+    """Episodes 0 to 6 have goals 0 1 2 3 4 0 1: 1 and 5 for the first, 2 and 8 for the second."""
+    assert goal_means(np.array([[1.0, 2, 3, 4, 5, 5, 8]]), 5).tolist() == [[3, 5, 3, 4, 5]]
+    assert goal_means(np.array([[1.0, 2, 3]]), 5).tolist() == [[1, 2, 3]]
 
 
 def test_the_expert_by_hand():

@@ -133,5 +133,7 @@ def test_goals_are_drawn_as_the_data_drew_them(tiny_file):
     found = {block: [held.goal_key(key, block) for key in keys] for block in ("train", "test")}
     assert [key.row for key in found["train"]] == [0, 1, 2, 0]
     assert [key.row for key in found["test"]] == [3, 3, 3, 3]
+    assert [held.num_goals(block) for block in ("train", "test")] == [3, 1]
+    assert material.num_goals("test") is None
     for key in (*found["train"], *found["test"]):
         assert (key.seed, key.task, key.quality) == (7, 1, Quality.GOALS), "the data's own seed"

@@ -162,10 +162,17 @@ def test_what_adaptation_read_is_said(judged, returns, read):
 
 
 def test_knowing_the_task_is_told_where_only_the_goal_is_unseen(judged, monkeypatch):
-    goals = SimpleNamespace(training_key=None, held_out_key=None)
+    goals = SimpleNamespace(training_key=None, held_out_key=None, count=50, held_out=5)
     monkeypatch.setattr(Material, "goals", property(lambda self: goals))
     said = {s.method: s.reads for s in judged() if s.block == "test"}
     assert said["MPDT own prompts"] == "task id"
+
+
+def test_intervals_are_over_goals_where_episodes_share_them(judged, monkeypatch):
+    """One goal however many episodes: nothing can be resampled."""
+    monkeypatch.setattr(Material, "num_goals", lambda self, block: 1 if block == "test" else None)
+    ends = {(s.block, s.low == s.high) for s in judged() if s.method.startswith("MPDT")}
+    assert ends == {("train", False), ("test", True)}
 
 
 def test_statistics_show_episodes_evenly(tiny_file, monkeypatch):
