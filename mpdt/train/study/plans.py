@@ -186,6 +186,8 @@ _FIFTY: tuple[Cell, ...] = (
     _fifty("mt50", "MPDT-ones", {"quality": "medium"}, _NOTHING_OR_X, label="ones-medium"),
     # With expert episodes its training tasks stood at 0.90 of the expert, MPDT-ones at 0.83.
     _fifty("mt50", PLAIN, {"quality": "medium"}, _NOTHING_OR_X, label="plain-medium"),
+    _fifty("mt50", PLAIN, {"quality": "medium", "multitask": {"steps": 16500}}, _NOTHING_OR_X,
+           BY_STEPS, label="plain-longer-medium"),
     # Three times the updates.
     *(_fifty(data, "MPDT-ones", {"multitask": {"steps": 16500}}, _NOTHING_OR_X, label="ones-longer")
       for data in ("mt50", "ml45")),
