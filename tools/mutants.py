@@ -198,6 +198,8 @@ def main() -> None:
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     breaks = read_list()
     chosen = [one for one in breaks if options.only in one.file]
+    if not chosen:
+        parser.error(f"no break in a file with {options.only!r} in its name")
     began = time.monotonic()
     check_unbroken(chosen)
     found = try_all(chosen, options.jobs)
