@@ -52,7 +52,9 @@ def run(
     ]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     began = time.monotonic()
-    subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL)
+    done = subprocess.run(command, check=False, env=environment, stdout=subprocess.DEVNULL)
+    if done.returncode:
+        sys.exit(f"error: {name}: mpdt-train failed, as it says above")
     return Path("runs") / folder, time.monotonic() - began
 
 

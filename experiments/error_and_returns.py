@@ -11,12 +11,14 @@ training's own last action loss, which is not the same thing: the table says whi
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from scipy.stats import spearmanr
 
 from mpdt.draw.table import markdown_table
+from mpdt.errors import MpdtError, UsageError
 from mpdt.train.evaluate.score import MEAN, REFERENCES, Block
 from mpdt.train.fit.validation import PHASE as VALIDATION
 from mpdt.train.study.cells import CellResult
@@ -28,7 +30,13 @@ FREE = ("nothing", "X", "X+rewards", "task id", None)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("folder", type=Path)
-    cells = read_cells(parser.parse_args().folder)
+    folder = parser.parse_args().folder
+    try:
+        cells = read_cells(folder)
+        if not cells:
+            raise UsageError("no results of a study", where=str(folder))
+    except MpdtError as error:
+        sys.exit(error.render())
     rows = [
         (data, block, error, len(pairs), *map("{:.2f}".format, correlation(pairs)))
         for data in dict.fromkeys(cell.data for cell in cells)

@@ -19,6 +19,7 @@ Each: largest difference of the 18 numbers that are now, and of the reward; medi
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ import mpdt
 from mpdt.data.episode import Episode
 from mpdt.data.sim.metaworld import MetaworldEnv
 from mpdt.draw.table import markdown_table
+from mpdt.errors import MpdtError
 
 Floats = NDArray[np.float64]
 NOW, BEFORE = slice(0, 18), slice(18, 36)
@@ -65,7 +67,10 @@ def main() -> None:
     parser.add_argument("--states", type=int, default=20)
     parser.add_argument("--lead", type=float, default=2.0)
     asked = parser.parse_args()
-    data, rows = mpdt.open(asked.file), []
+    try:
+        data, rows = mpdt.open(asked.file), []
+    except MpdtError as error:
+        sys.exit(error.render())
     for task in asked.tasks.split(","):
         ids = data.select(task=task, quality=asked.quality)[: asked.episodes]
         found = [Apart() for _ in range(3)]

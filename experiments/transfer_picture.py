@@ -9,13 +9,15 @@ episodes were solved.
 from __future__ import annotations
 
 import argparse
-import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from mpdt.draw.chart import Axis, Chart, Dot, axis_over, row_chart
 from mpdt.draw.sheet import Sheet, write_sheet
+from mpdt.errors import MpdtError
+from mpdt.reading import read_json
 
 SOLVED, UNSOLVED = "c2", "c0"
 WIDE, LETTERS = 520, 30
@@ -46,7 +48,10 @@ def main() -> None:
     parser.add_argument("matrix", type=Path, help="a file that transfer_matrix.py wrote")
     parser.add_argument("target", type=Path)
     args = parser.parse_args()
-    write_sheet(args.target, sheet(json.loads(args.matrix.read_text(encoding="utf-8"))))
+    try:
+        write_sheet(args.target, sheet(read_json(args.matrix)))
+    except MpdtError as error:
+        sys.exit(error.render())
 
 
 if __name__ == "__main__":

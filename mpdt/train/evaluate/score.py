@@ -80,19 +80,26 @@ def scores_of(
     scores = []
     for i, task in enumerate(tasks):
         mean = float(returns[i].mean())
-        low, high = bootstrap(apart[i : i + 1])
+        low, high = _interval(apart[i : i + 1], returns)
         share = None if successes is None else float(successes[i].mean())
         reached = level(mean, float(random[i]), float(expert[i]))
         scores.append(Score(block=block, task=task, method=method, mean=mean, low=low, high=high,
                             normalised=reached, success=share, reads=reads,
                             num_episodes=returns.shape[1]))  # fmt: skip
-    low, high = bootstrap(apart)
+    low, high = _interval(apart, returns)
     levels = [score.normalised for score in scores]
     share = None if successes is None else float(successes.mean())
     mean_score = Score(block=block, task=MEAN, method=method, mean=float(returns.mean()), low=low,
                        high=high, normalised=float(np.mean(levels)), success=share,
                        reads=reads, num_episodes=returns.size)  # fmt: skip
     return [*scores, mean_score]
+
+
+def _interval(apart: NDArray[np.float64], returns: NDArray[np.float64]) -> tuple[float, float]:
+    """Of episodes that all repeat one goal none is known; resampling one would call it certain."""
+    if apart.shape[1] == 1 < returns.shape[1]:
+        return (math.nan, math.nan)
+    return bootstrap(apart)
 
 
 def expert_scores(

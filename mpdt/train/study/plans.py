@@ -191,7 +191,7 @@ _FIFTY: tuple[Cell, ...] = (
     # Three times the updates.
     *(_fifty(data, "MPDT-ones", {"multitask": {"steps": 16500}}, _NOTHING_OR_X, label="ones-longer")
       for data in ("mt50", "ml45")),
-    # The published start had the better training tasks in as many updates, on mt50 and on mt10.
+    # The published start had the better training tasks in as many updates of mt50.
     _fifty("mt50", PLAIN, {"multitask": {"steps": 16500}}, _NOTHING_OR_X, BY_STEPS,
            label="plain-longer"),
     # Weights of ones-longer again, with the nearest task's prompt alone.

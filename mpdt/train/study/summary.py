@@ -52,7 +52,7 @@ class Row:
     num_runs: int = 1
     """More than the seeds where runs of one seed differ in the seed of their trials."""
     dtype: str = "-"
-    """Numbers that the language model was trained in; "both" where its runs differ."""
+    """Numbers that a method was trained in; "both" where its runs differ."""
 
     @property
     def seeds(self) -> str:
@@ -223,7 +223,7 @@ def _table(title: str, rows: Sequence[Row], told: bool, notes: tuple[str, ...]) 
         if tried:
             line.append("-" if row.own_steps is None else f"{row.own_steps:,.0f}")
         known = row.method in REFERENCES
-        cells.append((*line, *("--" if known else (row.dtype, row.seeds))))
+        cells.append((*line, *(("-", "-") if known else (row.dtype, row.seeds))))
     return Table(title, (*columns, "numbers", "seeds"), tuple(cells), notes)
 
 
