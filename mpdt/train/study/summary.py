@@ -15,7 +15,7 @@ import csv
 import io
 import math
 from collections.abc import Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -41,18 +41,31 @@ class Row:
     num_seeds: int
     mean: float
     interval: tuple[float, float]
-    iqm: float
-    """Of the normalised returns of all tasks and seeds."""
-    iqm_interval: tuple[float, float]
+    levels: NDArray[np.float64] = field(compare=False)
+    """(R, N) normalised returns."""
     success: float | None
     own_steps: float | None = None
     """Steps of own episodes per task; None where none were read."""
-    normalised: float = math.nan
-    """Mean over tasks and seeds."""
     num_runs: int = 1
     """More than the seeds where runs of one seed differ in the seed of their trials."""
     dtype: str = "-"
     """Numbers that a method was trained in; "both" where its runs differ."""
+
+    @property
+    def normalised(self) -> float:
+        return float(self.levels.mean())
+
+    @property
+    def iqm(self) -> float:
+        """Of the normalised returns of all tasks and seeds."""
+        return iqm(self.levels)
+
+    @property
+    def iqm_interval(self) -> tuple[float, float]:
+        """It takes longer than all else of a row, so it is computed where it is shown."""
+        if len(self.levels) < 2:
+            return (math.nan, math.nan)
+        return stratified_interval(self.levels, iqm)
 
     @property
     def seeds(self) -> str:
@@ -170,10 +183,9 @@ def _row(runs: Runs, method: str, dtypes: Set[str]) -> Row:
               if score.task == MEAN and score.success is not None]  # fmt: skip
     return Row(
         method=method, reads=overall[0].reads or "-", num_seeds=len(means),
-        mean=float(means.mean()), interval=_interval(means, overall), iqm=iqm(levels),
-        iqm_interval=stratified_interval(levels, iqm) if len(means) > 1 else (math.nan, math.nan),
+        mean=float(means.mean()), interval=_interval(means, overall), levels=levels,
         success=float(seed_means(shares).mean()) if shares else None,
-        own_steps=overall[0].own_steps, normalised=float(levels.mean()), num_runs=len(runs),
+        own_steps=overall[0].own_steps, num_runs=len(runs),
         dtype="both" if len(dtypes) > 1 else min(dtypes),
     )  # fmt: skip
 

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from mpdt.train.adapt.align import LABELS
@@ -20,7 +21,7 @@ from mpdt.train.study.verdicts import claims_table, judge_claim, qualified_verdi
 
 
 def row(low, high, method="m"):
-    return Row(method, "X", 1, (low + high) / 2, (low, high), 0.0, (0.0, 0.0), None)
+    return Row(method, "X", 1, (low + high) / 2, (low, high), np.zeros((1, 1)), None)
 
 
 @pytest.mark.parametrize(
