@@ -6,7 +6,7 @@ Axes: n tasks, M windows, K steps, D observation, A action, l prompt length, s w
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import msgspec
 import numpy as np
@@ -21,6 +21,8 @@ from mpdt.model.returns import ReturnTable
 from mpdt.model.tokens import InputMap, InputSettings
 from mpdt.model.weights import check_shapes
 from mpdt.seeding import layers_from
+
+ActionLoss = Literal["squared", "absolute"]
 
 
 class HeadSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -212,11 +214,15 @@ def _build_head(settings: HeadSettings, width: int, action_size: int, seed: int)
     return nn.Sequential(*layers)
 
 
-def action_loss(predicted: Tensor, actions: Tensor, mask: Tensor) -> Tensor:
-    """Mean squared error per action component over real steps.
+def action_loss(
+    predicted: Tensor, actions: Tensor, mask: Tensor, kind: ActionLoss = "squared"
+) -> Tensor:
+    """Mean error per action component over real steps, squared or absolute.
 
     predicted, actions (n, M, K, A), mask (n, M, K). Pads count neither above nor below the line.
-    Source: Chen et al. 2021; Xu et al. 2022.
+    The least squared error is at the mean of what was done, the least absolute one at its median.
+    Source: squared: Chen et al. 2021; Xu et al. 2022; absolute: Zhao et al. 2023 (ACT), section IV.
     """
-    squared = (predicted - actions).square().mean(dim=-1)
-    return squared.masked_fill(~mask, 0.0).sum() / mask.sum()
+    error = predicted - actions
+    of_step = (error.square() if kind == "squared" else error.abs()).mean(dim=-1)
+    return of_step.masked_fill(~mask, 0.0).sum() / mask.sum()
