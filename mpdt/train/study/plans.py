@@ -99,6 +99,9 @@ _ONE_BLOCK: tuple[Cell, ...] = (
       for data, steps, size in ((VEL, 5000, {}), ("mt10", 6000, SMALLER))
       for changes, label in (({}, "Prompt-DT-long"), (HIDDEN, "Prompt-DT-long-no-actions"))),
     *(cell_of(VEL, "MPDT-ones", seed, HIDDEN, label="ones-hidden") for seed in (0, 1, 2)),
+    # The absolute error of actions, which medium data asked for.
+    one("ml10", "MPDT-ones", LONG, {"action_loss": "absolute"}, STARTS, EXPERT,
+        label="ones-long-absolute"),
     # As long as four blocks took; as on ml10 and mt10 without the previous action.
     *(cell_of("ant_dir", "MPDT-ones", seed, ANT_LONG, label="ones-long") for seed in (0, 1, 2)),
     # As the ant: training tasks said that 1,200 updates are not the end of it.
