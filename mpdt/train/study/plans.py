@@ -196,8 +196,8 @@ _FIFTY: tuple[Cell, ...] = (
            BY_STEPS, label="plain-longer-medium"),
     # Medium is the expert with uniform actions mixed in: their median is nearer to the expert's
     # action than their mean.
-    _fifty("mt50", PLAIN, {"quality": "medium", "action_loss": "absolute"}, _NOTHING_OR_X, BY_STEPS,
-           label="plain-medium-absolute"),
+    *(_fifty("mt50", PLAIN, {"quality": "medium", "action_loss": kind}, _NOTHING_OR_X, BY_STEPS,
+             label=f"plain-medium-{kind}") for kind in ("absolute", "cauchy")),
     # Three times the updates.
     *(_fifty(data, "MPDT-ones", {"multitask": {"steps": 16500}}, _NOTHING_OR_X, label="ones-longer")
       for data in ("mt50", "ml45")),
