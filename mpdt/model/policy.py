@@ -6,7 +6,7 @@ Axes: n tasks, M windows, K steps, D observation, A action, l prompt length, s w
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
@@ -21,9 +21,6 @@ from mpdt.model.returns import ReturnTable
 from mpdt.model.tokens import InputMap, InputSettings
 from mpdt.model.weights import check_shapes
 from mpdt.seeding import layers_from
-
-ActionLoss = Literal["squared", "absolute", "cauchy"]
-CAUCHY_SCALE = 0.1  # of an error of a step, where the action space is -1 to 1
 
 
 class HeadSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -215,21 +212,11 @@ def _build_head(settings: HeadSettings, width: int, action_size: int, seed: int)
     return nn.Sequential(*layers)
 
 
-def action_loss(
-    predicted: Tensor, actions: Tensor, mask: Tensor, kind: ActionLoss = "squared"
-) -> Tensor:
-    """Mean error per action component over real steps.
+def action_loss(predicted: Tensor, actions: Tensor, mask: Tensor) -> Tensor:
+    """Mean squared error per action component over real steps.
 
     predicted, actions (n, M, K, A), mask (n, M, K). Pads count neither above nor below the line.
-    The least `squared` error is at the mean of what was done, the least `absolute` one at the
-    median of each component, the least `cauchy` one, s^2 log(1 + |e|^2 / s^2) of the error e of a
-    whole action, where most of what was done lies together.
-    Source: squared: Chen et al. 2021; Xu et al. 2022; absolute: Zhao et al. 2023 (ACT), section IV;
-    cauchy: Barron 2019, equation 1 with alpha 0, twice.
+    Source: Chen et al. 2021; Xu et al. 2022.
     """
-    error = predicted - actions
-    of_step = (error.abs() if kind == "absolute" else error.square()).mean(dim=-1)
-    if kind == "cauchy":
-        size = CAUCHY_SCALE**2 / error.shape[-1]
-        of_step = size * torch.log1p(of_step / size)
-    return of_step.masked_fill(~mask, 0.0).sum() / mask.sum()
+    squared = (predicted - actions).square().mean(dim=-1)
+    return squared.masked_fill(~mask, 0.0).sum() / mask.sum()

@@ -11,7 +11,7 @@ from torch import nn
 
 from mpdt.errors import ShapeError, SpecError
 from mpdt.model.backbone import Backbone
-from mpdt.model.policy import ActionLoss, HeadSettings, PolicyBatch, PromptPolicy, action_loss
+from mpdt.model.policy import HeadSettings, PolicyBatch, PromptPolicy, action_loss
 from mpdt.model.prompts import DecomposedPrompts, PromptSettings
 from mpdt.model.returns import ReturnTable
 from mpdt.model.tokens import InputSettings
@@ -122,20 +122,6 @@ def test_loss_worked_by_hand() -> None:
     predicted = torch.tensor([[[[torch.nan, 7.0], [1.0, 2.0], [0.0, 3.0]]]])
     mask = torch.tensor([[[False, True, True]]])
     assert action_loss(predicted, torch.zeros(1, 1, 3, 2), mask).item() == pytest.approx(3.5)
-    absolute = action_loss(predicted, torch.zeros(1, 1, 3, 2), mask, "absolute")
-    assert absolute.item() == pytest.approx((1.5 + 1.5) / 2)
-
-
-def test_the_least_absolute_error_is_at_the_expert_of_a_mixture() -> None:
-    """Done in one place: 0.8 three times, 0 and -0.9 for once each. Median 0.8, mean 0.3."""
-    done, mask = torch.tensor([0.8, 0.8, 0.8, 0.0, -0.9]).reshape(5, 1, 1, 1), torch.ones(5, 1, 1)
-    grid = [step / 10 for step in range(-10, 11)]
-
-    def best(kind: ActionLoss) -> float:
-        losses = [action_loss(torch.full_like(done, a), done, mask.bool(), kind) for a in grid]
-        return grid[int(torch.stack(losses).argmin())]
-
-    assert (best("squared"), best("absolute")) == (0.3, 0.8)
 
 
 @pytest.mark.parametrize(

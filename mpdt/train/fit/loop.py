@@ -27,7 +27,7 @@ from mpdt.data.slices.sampler import WindowSampler
 from mpdt.data.slices.windows import WindowBatch
 from mpdt.errors import TrainingError, check_at_least
 from mpdt.model.demonstrations import DemonstrationPrompts
-from mpdt.model.policy import ActionLoss, PromptPolicy, action_loss
+from mpdt.model.policy import PromptPolicy, action_loss
 from mpdt.model.prompts import (
     AdaptedPrompts,
     DecomposedPrompts,
@@ -97,7 +97,6 @@ class Update:
         seed: of dropout, the sampler's; a stream of its own beside the windows.
         teacher: what the student is compared with; None for the teacher itself.
         sparse: lambda_1 of the mean of |P_k|.
-        kind: of the error of the actions.
         hardware: where the modules are, and who else trains them.
         phase, rate: what an error names, and the option that would help.
     """
@@ -108,7 +107,6 @@ class Update:
     seed: int
     teacher: Teacher | None = None
     sparse: float = 0.0
-    kind: ActionLoss = "squared"
     hardware: Hardware = PROCESSOR
     phase: str = "training"
     rate: str = "--optimiser.lr"
@@ -124,7 +122,7 @@ class Update:
             layer_features=teacher is not None and teacher.needs_features,
         )  # fmt: skip
         assert batch.actions is not None
-        loss = action = action_loss(output.actions, batch.actions, batch.mask, self.kind)
+        loss = action = action_loss(output.actions, batch.actions, batch.mask)
         losses = {"action_loss": action}
         if teacher is not None:
             distilled = teacher.loss(batch, slots, task_prompts, output, of_tasks, hardware.group)

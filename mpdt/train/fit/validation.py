@@ -20,7 +20,7 @@ import torch
 from mpdt.data.slices.sampler import WindowSampler
 from mpdt.errors import UsageError
 from mpdt.model.demonstrations import DemonstrationPrompts
-from mpdt.model.policy import ActionLoss, PromptPolicy, action_loss
+from mpdt.model.policy import PromptPolicy, action_loss
 from mpdt.model.returns import ReturnTable
 from mpdt.train.fit.data import Material
 from mpdt.train.fit.device import Hardware
@@ -37,13 +37,11 @@ class Validation:
     Args:
         window: K of the policy.
         seed: of the windows.
-        kind: of the error, as training has it.
     """
 
     material: Material
     window: int
     seed: int
-    kind: ActionLoss = "squared"
 
     def __post_init__(self) -> None:
         ids = self.material.validation_ids
@@ -86,7 +84,7 @@ class Validation:
             with hardware.autocast():
                 output = policy(batch, chosen, table.select(rows))
                 assert batch.actions is not None
-                loss = action_loss(output.actions, batch.actions, batch.mask, self.kind)
+                loss = action_loss(output.actions, batch.actions, batch.mask)
             count = int(np.count_nonzero(windows.mask))
             error, steps = error + count * float(loss), steps + count
         return error / steps

@@ -13,7 +13,7 @@ import msgspec
 from mpdt.data.slices.sampler import SamplerSettings
 from mpdt.errors import SpecError
 from mpdt.model.backbone import BackboneSettings
-from mpdt.model.policy import ActionLoss, HeadSettings
+from mpdt.model.policy import HeadSettings
 from mpdt.model.prompts import PromptSettings
 from mpdt.model.tokens import InputSettings
 from mpdt.train.adapt.align import AdaptSettings
@@ -41,9 +41,6 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     One is the default: on two cores two were 1.1 times as fast when idle with passive waiting,
     and 15 times slower with torch's own (spinning) waits. See docs/log.md, 2026-11-22."""
-    action_loss: ActionLoss = "squared"
-    """Error of the actions that training descends. absolute learns the median of what was done in
-    a place, not the mean: where an expert's actions are mixed with random ones, the expert's."""
     target_quantile: float = 0.9
     """Return asked of training tasks in closed loop, as a quantile of their training episodes."""
     validation: str | None = None

@@ -69,9 +69,7 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
     if settings["hardware"] == to_plain(TrainConfig())["hardware"]:
         del settings["hardware"]
     # As in runs from before there was a choice.
-    _drop(
-        settings, {"action_loss": "squared", "began_from": None, "validation": None, "patience": 0}
-    )
+    _drop(settings, {"began_from": None, "validation": None, "patience": 0})
     settings["adapt"]["infer"] = config.adapt.infer.facts
     if "trials" not in settings["adapt"]["starts"]:  # nor what nobody asked for
         del settings["adapt"]["trials"]

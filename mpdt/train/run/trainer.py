@@ -125,9 +125,8 @@ class Trainer:
         if not material.validation_ids:
             return None
         validation = Validation(
-            material, config.sampler.window, phase_seed(config.seed, "validation"),
-            config.action_loss,
-        )  # fmt: skip
+            material, config.sampler.window, phase_seed(config.seed, "validation")
+        )
         return Looking(
             validation, self.folder, self.learner.hashes, config.multitask.checkpoint_every,
             config.patience,
@@ -255,7 +254,7 @@ class Trainer:
         with hardware.working(subject.policy.backbone, subject.optimizer, *parts):
             update = Update(
                 subject.policy, subject.prompts, hardware.returns(self.learner.returns),
-                sampler.seed, teacher, config.multitask.sparse, config.action_loss, hardware,
+                sampler.seed, teacher, config.multitask.sparse, hardware,
             )  # fmt: skip
             return fit(update, sampler, subject.optimizer, config.optimiser,
                        range(first, num_steps), on_step)  # fmt: skip

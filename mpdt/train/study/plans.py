@@ -99,9 +99,6 @@ _ONE_BLOCK: tuple[Cell, ...] = (
       for data, steps, size in ((VEL, 5000, {}), ("mt10", 6000, SMALLER))
       for changes, label in (({}, "Prompt-DT-long"), (HIDDEN, "Prompt-DT-long-no-actions"))),
     *(cell_of(VEL, "MPDT-ones", seed, HIDDEN, label="ones-hidden") for seed in (0, 1, 2)),
-    # The absolute error of actions, which medium data asked for.
-    one("ml10", "MPDT-ones", LONG, {"action_loss": "absolute"}, STARTS, EXPERT,
-        label="ones-long-absolute"),
     # As long as four blocks took; as on ml10 and mt10 without the previous action.
     *(cell_of("ant_dir", "MPDT-ones", seed, ANT_LONG, label="ones-long") for seed in (0, 1, 2)),
     # As the ant: training tasks said that 1,200 updates are not the end of it.
@@ -194,10 +191,6 @@ _FIFTY: tuple[Cell, ...] = (
     _fifty("mt50", PLAIN, {"quality": "medium"}, _NOTHING_OR_X, label="plain-medium"),
     _fifty("mt50", PLAIN, {"quality": "medium", "multitask": {"steps": 16500}}, _NOTHING_OR_X,
            BY_STEPS, label="plain-longer-medium"),
-    # Medium is the expert with uniform actions mixed in: their median is nearer to the expert's
-    # action than their mean.
-    *(_fifty("mt50", PLAIN, {"quality": "medium", "action_loss": kind}, _NOTHING_OR_X, BY_STEPS,
-             label=f"plain-medium-{kind}") for kind in ("absolute", "cauchy")),
     # Three times the updates.
     *(_fifty(data, "MPDT-ones", {"multitask": {"steps": 16500}}, _NOTHING_OR_X, label="ones-longer")
       for data in ("mt50", "ml45")),

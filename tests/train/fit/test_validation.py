@@ -170,25 +170,3 @@ def test_patience_ends_training_with_the_best_look_and_a_kill_changes_nothing(
     assert not list((tmp_path / "r").glob("checkpoint-*"))
     assert call(*command, "--adapt.steps", 1) == 0  # judged anew, not trained on
     assert len(saved) == 2
-
-
-def test_both_phases_and_the_looks_have_the_error_that_was_asked_for(file, tmp_path, monkeypatch):
-    kinds = {"fit": [], "look": []}
-
-    def fit(update, *arguments, plain=trainer.fit):
-        kinds["fit"].append(update.kind)
-        return plain(update, *arguments)
-
-    def look(self, *arguments):
-        kinds["look"].append(self.kind)
-        return 0.1
-
-    monkeypatch.setattr(trainer, "fit", fit)
-    monkeypatch.setattr(Validation, "action_error", look)
-    words = ["--data", file, *QUICK, "--method", "MPDT-E", "--validation", "validation",
-             "--adapt.starts", "none", "--evaluation.blocks", "test", "--evaluation.episodes", 1,
-             "--runs-dir", tmp_path, "--restart", "-q"]  # fmt: skip
-    for kind in ("squared", "absolute"):
-        assert call(*words, "--action-loss", kind) == 0
-        assert kinds["fit"] == [kind] * 2 and set(kinds["look"]) == {kind}
-        kinds["fit"], kinds["look"] = [], []

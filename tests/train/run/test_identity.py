@@ -113,7 +113,6 @@ OTHERS = {
     "hardware.device": "cuda", "hardware.autocast": "bfloat16", "hardware.compile": "eager",
     "few_shot.qualities": ("expert",), "few_shot.start": "cross_mean", "few_shot.tuned": "all",
     "seed": 1, "method": "X", "began_from": "0" * 64, "validation": "few",
-    "action_loss": "absolute",
 }  # fmt: skip
 
 
