@@ -80,7 +80,7 @@ _ONE_BLOCK: tuple[Cell, ...] = (
     # The published start without distillation: on mt50's training tasks it stood at 0.90 of the
     # expert after as many updates as MPDT-ones needed for 0.83 (the latter in bfloat16).
     *(one("mt10", PLAIN, LONG, STARTS, seed=seed, label="plain-long") for seed in (0, 1, 2)),
-    # Three times the updates, as on mt50, where they brought the training tasks from 0.90 to 0.93.
+    # Three times the updates, as on mt50, where training tasks rose from 0.90 to 0.93 (seed 0).
     *(one("mt10", PLAIN, LONG, {"multitask": {"steps": 9000}}, STARTS, seed=seed,
            label="plain-longer") for seed in (0, 1, 2)),
     # The weights of ones-longer again, with X told by its steps, not by its rewards alone (0010).
