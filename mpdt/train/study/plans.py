@@ -70,8 +70,8 @@ _ONE_BLOCK: tuple[Cell, ...] = (
     *(one(VEL, "MPDT-WP", _SCRATCH_ONES, TWO, STARTS, seed=seed, label="WP-ones")
       for seed in (0, 1, 2)),
     # And as long as ones-long, on ml10, where as on ml45 whole classes are unseen.
-    *(one("ml10", "MPDT-WP", _SCRATCH_ONES, LONG, STARTS, EXPERT, seed=seed, label="WP-ones-long")
-      for seed in (0, 1, 2)),
+    *(one("ml10", "MPDT-WP", _SCRATCH_ONES, TWO, LONG, STARTS, EXPERT, seed=seed,
+           label="WP-ones-long") for seed in (0, 1, 2)),
     *(cell_of(data, method) for data in ("cheetah_dir", "ant_dir", "ml10")
       for method in (*_THRICE, *_ONCE)),
     *(cell_of("mt10", method) for method in ("MPDT-ones", "Prompt-DT")),
@@ -194,8 +194,8 @@ _FIFTY: tuple[Cell, ...] = (
     # Trained from scratch its rows on ml45's unseen classes stood above all that are frozen: is
     # that so with other seeds, and without teachers, with prompts that can be averaged?
     *(_fifty("ml45", "MPDT-WP", _NOTHING_OR_X, seed=seed) for seed in (1, 2)),
-    *(_fifty("ml45", "MPDT-WP", _SCRATCH_ONES, _NOTHING_OR_X, EXPERT, seed=seed, label="WP-ones")
-      for seed in (0, 1, 2)),
+    *(_fifty("ml45", "MPDT-WP", _SCRATCH_ONES, TWO, _NOTHING_OR_X, EXPERT, seed=seed,
+             label="WP-ones") for seed in (0, 1, 2)),
     # As others train on less than expert episodes; judged against the same expert.
     _fifty("mt50", "MPDT-ones", {"quality": "medium"}, _NOTHING_OR_X, label="ones-medium"),
     # With expert episodes its training tasks stood at 0.90 of the expert, MPDT-ones at 0.83.
