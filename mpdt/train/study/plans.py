@@ -71,7 +71,7 @@ _ONE_BLOCK: tuple[Cell, ...] = (
       for seed in (0, 1, 2)),
     # And as long as ones-long, on ml10, where as on ml45 whole classes are unseen.
     *(one("ml10", "MPDT-WP", _SCRATCH_ONES, TWO, LONG, STARTS, EXPERT, seed=seed,
-           label="WP-ones-long") for seed in (0, 1, 2)),
+           label="WP-ones-long") for seed in (0, 1, 2, 3, 4)),
     *(cell_of(data, method) for data in ("cheetah_dir", "ant_dir", "ml10")
       for method in (*_THRICE, *_ONCE)),
     *(cell_of("mt10", method) for method in ("MPDT-ones", "Prompt-DT")),
@@ -225,6 +225,7 @@ _CHOSEN: Mapping[str, Any] = {"infer": "rewards", "search": "climb"}
 def _trials(
     data: str, row: str, seed: int, trial_seed: int, label: str = "",
     changes: Mapping[str, Any] = _BEFORE, size: Mapping[str, Any] | None = None,
+    scratch: bool = False,
 ) -> Cell:  # fmt: skip
     """One row of the protocol alone; fresh goals are judged 20 times a task."""
     adapt = {"starts": ["trials"], "trials": {"episodes": [1, 3, 10], "rows": [row],
@@ -233,8 +234,9 @@ def _trials(
     usual = {VEL: {}, "ml45": _FIFTY_SIZE, "ant_dir_endless": ANT_LONG}.get(data, LONG)
     size = usual if size is None else size
     name = row.replace("_", "-") + label
-    return one(data, "MPDT-ones", size, {"adapt": adapt}, judged, seed=seed,
-                label=f"ones-{name}-t{trial_seed}")  # fmt: skip
+    method = ("MPDT-WP", _SCRATCH_ONES, TWO) if scratch else ("MPDT-ones",)
+    return one(data, *method, size, {"adapt": adapt}, judged, seed=seed,
+                label=f"{'WP-' * scratch}ones-{name}-t{trial_seed}")  # fmt: skip
 
 
 _WITH_MEAN: Mapping[str, Any] = {**_BEFORE, "mean": True}
@@ -257,6 +259,9 @@ _TRIALS: tuple[Cell, ...] = (
     *(_trials("ml10", "with_x", seed, 0, "-slower", {**_BEFORE, "lr": 3e-4})
       for seed in (0, 1, 2)),
     _trials("ml45", "alone", 0, 0, "-mean-rewards", {**_CHOSEN, "mean": True}),
+    # The weights of one-block's WP-ones-long: unseen classes know more of it from the start.
+    *(_trials("ml10", row, seed, 0, "-long", _CHOSEN, scratch=True)
+      for row in ("with_x", "alone") for seed in (0, 1, 2)),
 )  # fmt: skip
 
 
