@@ -72,6 +72,10 @@ _ONE_BLOCK: tuple[Cell, ...] = (
     # And as long as ones-long, on ml10, where as on ml45 whole classes are unseen.
     *(one("ml10", "MPDT-WP", _SCRATCH_ONES, TWO, LONG, STARTS, EXPERT, seed=seed,
            label="WP-ones-long") for seed in (0, 1, 2, 3, 4)),
+    # Random weights or training them, which of the two is it? One without the other.
+    *(one("ml10", "MPDT-ones", LONG, changes, STARTS, EXPERT, label=label) for label, changes in (
+        ("tuned-ones-long", {"backbone": {"frozen": False}, "optimiser": {"lr": 3e-4}}),
+        ("random-ones-long", {"backbone": {"name": "random:smollm2-135m"}}))),
     *(cell_of(data, method) for data in ("cheetah_dir", "ant_dir", "ml10")
       for method in (*_THRICE, *_ONCE)),
     *(cell_of("mt10", method) for method in ("MPDT-ones", "Prompt-DT")),
