@@ -142,8 +142,8 @@ _STATEMENTS = (
                "MPDT-ones infer", "Prompt-DT infer", FAMILIES),
     _Statement("ours: MPDT-ones beats its like trained from scratch (smaller rate)",
                "MPDT-ones infer", "WP-ones infer", (*_VEL, "ml45")),
-    *(_Statement(f"ours: MPDT-ones, 3,000 updates, beats its like trained from scratch{how}",
-                 f"ones-long {row}", f"WP-ones-long {row}", ("ml10",))
+    *(_Statement("ours: MPDT-ones, 3,000 updates, beats its like trained from scratch "
+                 f"(smaller rate){how}", f"ones-long {row}", f"WP-ones-long {row}", ("ml10",))
       for how, row in (("", _CROSS), (": nothing read", "P_c o mean P_k, not adapted"),
                        (": task inferred", "infer"))),
 )  # fmt: skip

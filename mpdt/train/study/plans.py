@@ -195,8 +195,8 @@ _FIFTY: tuple[Cell, ...] = (
     *(_fifty("ml45", PLAIN, _NOTHING_OR_X, seed=seed, label="rank-1") for seed in (1, 2)),
     *(_fifty(data, method, _NOTHING_OR_X)
       for data in ("ml45", "mt50") for method in ("MPDT-WP", "MPDT-WP-frozen")),
-    # Trained from scratch its rows on ml45's unseen classes stood above all that are frozen: is
-    # that so with other seeds, and without teachers, with prompts that can be averaged?
+    # Seed 0 trained from scratch stood above all that are frozen on ml45's unseen classes: is that
+    # so with other seeds, and without teachers, with prompts that can be averaged?
     *(_fifty("ml45", "MPDT-WP", _NOTHING_OR_X, seed=seed) for seed in (1, 2)),
     *(_fifty("ml45", "MPDT-WP", _SCRATCH_ONES, TWO, _NOTHING_OR_X, EXPERT, seed=seed,
              label="WP-ones") for seed in (0, 1, 2)),
