@@ -73,6 +73,9 @@ ALL_TUNED = {"few_shot": {"qualities": ["expert"], "tuned": "all", "updates": 30
               "adapt": {"starts": ["none"]}}  # fmt: skip
 # Classes left out of ml45's training preferred it to 1e-3 and 1e-4 (decision 0011).
 SLOWER: Mapping[str, Any] = {"few_shot": {"lr": 3e-4}}
+# MPDT-ones, when the method is MPDT-WP.
+SCRATCH_ONES: Mapping[str, Any] = {"prompts": {"task_init": "ones"},
+                                    "teacher": {"distillation": "none"}}  # fmt: skip
 
 PLAIN = "MPDT-no-distillation"
 VEL = "cheetah_vel"
