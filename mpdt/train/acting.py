@@ -83,7 +83,8 @@ def judge_others(command: EvaluatePolicy, rest: list[str]) -> int:
 
     def body(stop: StopRequest) -> int:
         progress = Progress(command.quiet, stop)
-        results = judge_outside(policy, command.data, settings.evaluation, progress, command.keep)
+        results = judge_outside(policy, command.data, settings.evaluation, progress, command.keep,
+                                command.reads)  # fmt: skip
         print_results(results, command.json)
         return 0
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
+
+Said = Literal["nothing", "task id", "X", "X+rewards", "labelled steps", "demonstration"]
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,8 @@ class Evaluate:
     data: str
     """FILE or FILE:slice it was trained on."""
     keep: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Keep the episodes as data: with FILE.h5 in FILE-own.h5, FILE-cross.h5, ..."""
+    """Keep the episodes as data: with FILE.h5 in FILE-own.h5 (training tasks, behind their own
+    prompts), FILE-cross.h5, ...; own episodes of trials in FILE-trials-alone-3-own.h5."""
     json: bool = False
     """Print results.json instead of tables."""
     quiet: Annotated[bool, tyro.conf.arg(aliases=["-q"])] = False
@@ -58,7 +61,7 @@ class EvaluatePolicy:
     Examples:
       mpdt-train evaluate --policy theirs:act --data ml10.h5
       mpdt-train evaluate --policy policies/ml10 --data ml10.h5 --keep seen.h5
-      mpdt-train evaluate --policy theirs:act --data ml10.h5 --evaluation.episodes 50 --json
+      mpdt-train evaluate --policy theirs:act --data ml10.h5 --reads nothing --json
     """
 
     policy: str
@@ -66,6 +69,10 @@ class EvaluatePolicy:
     from here or what is installed; or a bundle's folder or address."""
     data: str
     """FILE whose tasks, options and references count."""
+    reads: Annotated[Said | None, tyro.conf.arg(metavar="WHAT")] = None
+    """What a function of yours has read of a test task before its first step, which nobody but you
+    can know: nothing, 'task id', X, X+rewards, 'labelled steps' or demonstration. The leaderboard
+    compares by it."""
     keep: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Keep the episodes as data."""
     json: bool = False

@@ -100,8 +100,12 @@ def level_table(
     data: Dataset, ids: Int64 | None = None, names: tuple[str, ...] | None = None
 ) -> str:
     """Mean return of zero action and of each quality; level between the references of medium, or
-    of policy where roll-outs are all there is to ask about."""
+    of policy where roll-outs are all there is to ask about and their level is on record: it is not
+    where they are of another length than the references are."""
     tasks = describe(data, ids)["tasks"]
+    policies = data.policies
+    known = {data.tasks.names[row] for row, reached in
+             zip(policies.tasks, policies.levels, strict=True) if np.isfinite(reached)}  # fmt: skip
     present = {quality for task in tasks for quality in task["returns"]}
     shown = [name for name in QUALITY_CODES if name != "policy" or name in present]
     asked = "medium" if "medium" in present or "policy" not in present else "policy"
@@ -115,6 +119,8 @@ def level_table(
         reached = level(
             returns.get(asked, float("nan")), _mean(task, "random"), _mean(task, "expert")
         )
+        if asked == "policy" and task["name"] not in known:
+            reached = float("nan")
         success = "-" if task["success"] is None else f"{task['success']:.2f}"
         rows.append(
             [task["name"], task["role"], f"{task['episodes']:,}", number(_mean(task, "zero")),

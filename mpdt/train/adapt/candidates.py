@@ -202,8 +202,8 @@ class Candidates:
             config.evaluation.horizon or self._material.horizon, config.seed, x, self.inferred,
             self._on_step, self._kept,
         ):  # fmt: skip
-            yield Candidate(one.name, one.label, one.controller, one.reads, None, one.episodes,
-                            one.own_steps)  # fmt: skip
+            yield Candidate(one.name, one.label, one.controller, one.reads, one.prompts,
+                            one.episodes, one.own_steps)  # fmt: skip
 
     def _few_shot(self) -> Iterator[Candidate]:
         settings = self._config.few_shot

@@ -24,9 +24,10 @@ from mpdt.reading import read_plain
 from mpdt.train.board.rows import REFERENCE, TRAINED, Row, Standing, standings
 from mpdt.train.evaluate.aggregate import improvement, profile
 from mpdt.train.study.once import place_in_studies
-from mpdt.train.study.protocols import PROTOCOLS
+from mpdt.train.study.protocols import PROTOCOLS, TOLD_NAME
 
-READS_NOTHING = PROTOCOLS[0].name
+READS_NOTHING = ("nothing", TOLD_NAME.name)
+"""Protocols in which the same weights, judged again, are the same policy."""
 BEST = 6
 """Rows of a protocol that the page shows."""
 WIDE, LETTERS = 720, 56
@@ -39,7 +40,8 @@ data set, protocol, method and seed, with the level of every task, the hash of t
 command that makes the line again; this page shows the best {best} methods of each protocol.
 
 - **protocol**: what was read of an unseen task before its first step. Only rows of one protocol
-  compete. Of mt10 an unseen task is a known one with other goals.
+  compete. Of mt10 and mt50 an unseen task is a known one with other goals, and may be told by name.
+  What a policy of yours has read nobody but you can know: `--reads`.
 - **level**: 0 is the random policy of the file, 1 its expert; mean over tasks and seeds. **IQM**:
   the mean of the middle half of all levels of tasks and seeds; its interval resamples seeds within
   a task, so one seed has none. Both as Agarwal et al. 2021 define them; `rliable` gives the same
@@ -55,7 +57,7 @@ hold is refused:
 
 ```
 mpdt-train submit runs/NAME --board results/leaderboard.csv
-mpdt-train evaluate --policy mine:act --data ml10.h5 --json > mine.json
+mpdt-train evaluate --policy mine:act --data ml10.h5 --reads nothing --json > mine.json
 mpdt-train submit mine.json --board results/leaderboard.csv
 ```
 """
@@ -121,7 +123,7 @@ def _protocols(own: Sequence[Standing]) -> list[str]:
 def ranking(own: Sequence[Standing], protocol: str) -> list[Standing]:
     """The methods of a protocol by mean return, best first."""
     found = [one for one in own if one.rows[0].protocol == protocol]
-    if protocol == READS_NOTHING:
+    if protocol in READS_NOTHING:
         found = _told_once(found)
     return sorted(found, key=lambda one: (-one.mean, one.rows[0].method))
 

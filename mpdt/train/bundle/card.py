@@ -119,7 +119,7 @@ def _prompt_table(config: BundleConfig) -> Table:
         (one.name, str(len(one.tasks)), one.reads or "training data of these tasks")
         for one in config.prompts
     )
-    notes = [f"Not inside, a whole network for each task: {', '.join(config.left_out)}"]
+    notes = [f"Not inside, a network of its own for each task: {', '.join(config.left_out)}"]
     return Table(
         "Prompts", ("start", "tasks", "made from"), rows, tuple(notes[: bool(config.left_out)])
     )

@@ -40,11 +40,23 @@ def _task(config: BundleConfig, task: str | int | None) -> str:
     return task
 
 
+def refuse_left_out(config: BundleConfig, start: str | None) -> None:
+    """Raises: UsageError for a row of the table that this policy has no prompts for."""
+    if start in config.left_out:
+        there = ", ".join(one.name for one in config.prompts)
+        raise UsageError(
+            f"the start '{start}' is left out: it has a network of its own for each task",
+            where=config.name, expected=there,
+            hint="mpdt-train adapt RUN --keep FILE keeps the episodes that it acts in",
+        )  # fmt: skip
+
+
 def _prompts(config: BundleConfig, task: str, start: str | None) -> PromptSet:
     sets = {one.name: one for one in config.prompts}
     if start is None:
         own = sets.get(OWN)
         start = OWN if own is not None and task in own.tasks else NOT_ADAPTED
+    refuse_left_out(config, start)
     if start not in sets:
         raise unknown_name("start", start, sets, where=config.name)
     if task not in sets[start].tasks:

@@ -41,8 +41,8 @@ def build_tables(scores: Sequence[Score], prompts: bool = True) -> list[Table]:
             (task, *(_cell(at.get((task, method))) for method in methods)) for task in tasks
         )
         has_success = any(score.success is not None for score in chosen)
-        note = ": return [95 % interval over seeds]" + (" success" if has_success else "")
-        note += " (normalised)"
+        note = ": return [95 % interval over evaluation episodes]"
+        note += " success (normalised)" if has_success else " (normalised)"
         verdicts = tuple(_verdicts(chosen, methods, kind))
         tables.append(Table(title + note, ("task", *methods), rows, verdicts, int(has_mean)))
         told = any(score.reads for score in chosen)

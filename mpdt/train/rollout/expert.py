@@ -19,7 +19,7 @@ from mpdt.train.bundle.acting import ActingPolicy
 from mpdt.train.bundle.build import Bundle
 from mpdt.train.bundle.format import OWN, seal
 from mpdt.train.bundle.read import read_bundle
-from mpdt.train.bundle.select import policy_of_bundle
+from mpdt.train.bundle.select import policy_of_bundle, refuse_left_out
 from mpdt.train.run.load import bundle_folder
 
 
@@ -35,6 +35,7 @@ def open_expert(folder: Path, family: str, start: str | None, where: str) -> Bun
     if bundle.family.name != family:
         raise SpecError("the policy was trained for another family", where=where, expected=family,
                         found=f"{bundle.family.name} in {folder}")  # fmt: skip
+    refuse_left_out(bundle.config, start)
     sets = [one.name for one in bundle.config.prompts]
     if start is not None and start not in sets:
         raise unknown_name("start", start, sets, where=where)

@@ -21,7 +21,7 @@ from mpdt.data.store.tables import TaskRow
 from mpdt.errors import UsageError, unknown_name
 from mpdt.train.bundle.format import OWN, BundleConfig, TaskFacts, seal
 from mpdt.train.bundle.read import read_bundle
-from mpdt.train.bundle.select import NOT_ADAPTED, policy_of_bundle
+from mpdt.train.bundle.select import NOT_ADAPTED, policy_of_bundle, refuse_left_out
 from mpdt.train.rollout.ladder import BundleLadder
 from mpdt.train.run.progress import Progress
 
@@ -126,6 +126,7 @@ def _chosen(config: BundleConfig, tasks: str) -> list[str]:
 def _start(config: BundleConfig, names: Sequence[str], start: str | None) -> str:
     """The set of prompts that all the tasks have."""
     sets = {one.name: one.tasks for one in config.prompts}
+    refuse_left_out(config, start)
     if start is not None and start not in sets:
         raise unknown_name("start", start, sets, where=config.name)
     for each in [OWN, NOT_ADAPTED] if start is None else [start]:

@@ -16,6 +16,7 @@ import numpy as np
 from mpdt.data.sim.actors import Actions, Observations, Rewards, Rows
 from mpdt.data.slices.several import open_ref
 from mpdt.errors import DataError, UsageError, quoted
+from mpdt.train.adapt.trials.protocol import spoken
 from mpdt.train.bundle.acting import ActingPolicy
 from mpdt.train.bundle.build import Bundle
 from mpdt.train.bundle.format import OWN, BundleConfig, FamilyFacts
@@ -29,20 +30,24 @@ from mpdt.train.run.keep import Keeper
 from mpdt.train.run.load import local_folder
 from mpdt.train.run.outside import Named, OutsideActor, load_callable
 from mpdt.train.run.progress import Progress
+from mpdt.train.run.results import VERSIONED
+from mpdt.version import installed
 
 MOST_SHIFT = 10.0
 """Standard deviations that a column's mean may lie from what a bundle was trained on."""
 
 
 def judge_outside(
-    policy: str, ref: str, settings: EvaluationSettings, progress: Progress, keep: Path | None
-) -> dict[str, Any]:
+    policy: str, ref: str, settings: EvaluationSettings, progress: Progress, keep: Path | None,
+    reads: Reads | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Results of a policy on the tasks of a file, as `results.json` has them.
 
     Args:
         policy: `module:function`, or where a bundle lies.
         ref: the data file.
         keep: where episodes go.
+        reads: what a function has read of a test task before its first step; a bundle says itself.
     Raises: UsageError, ShapeError and DataError for what the policy does; as `open_dataset`,
         `read_bundle`, `check_fits`; Stopped after a signal.
     """
@@ -52,6 +57,9 @@ def judge_outside(
     folder = local_folder(policy) if "://" in policy else Path(policy)
     if is_bundle(folder) or is_bundle(folder / "policy"):
         folder = folder if is_bundle(folder) else folder / "policy"
+        if reads is not None:
+            raise UsageError("a bundle says itself what was read for each of its prompts",
+                             where="--reads", hint="leave it out")  # fmt: skip
         bundle = read_bundle(folder)
         for line in check_fits(bundle.config, material):
             progress.say(line)
@@ -60,7 +68,7 @@ def judge_outside(
     else:
         named = load_callable(policy)
         name = named.words
-        scores = _judged(bench, _CallableRows(named, bench, progress, keep))
+        scores = _judged(bench, _CallableRows(named, bench, progress, keep, reads))
         told = {"policy": {"name": name, "fingerprint": named.fingerprint.hex()}}
     dataset = material.dataset
     header = {
@@ -68,6 +76,7 @@ def judge_outside(
         **told,
         "data": {"file": dataset.title, "name": dataset.name, "version": dataset.version,
                  "content_hash": dataset.content_hash, "horizon": bench.horizon},
+        "versions": installed(VERSIONED),
         "evaluation": msgspec.to_builtins(settings),
     }  # fmt: skip
     results: dict[str, Any] = json.loads(encode_results(header, scores))
@@ -125,6 +134,7 @@ class _CallableRows:
     bench: Bench
     progress: Progress
     keep: Path | None
+    reads: Reads | None
 
     def __post_init__(self) -> None:
         self.keeper = _keeper(self, self.named.words, {"policy": self.named.words}, single=True)
@@ -132,7 +142,11 @@ class _CallableRows:
     def of(self, block: Block, rows: Sequence[int]) -> Iterator[list[Score]]:
         bench, named, material = self.bench, self.named, self.bench.material
         row = self.keeper and self.keeper.row(
-            bench, "policy" if material.one_table else block, named.words, named.fingerprint
+            bench,
+            "policy" if material.one_table else block,
+            named.words,
+            named.fingerprint,
+            self.reads if block == "test" else None,
         )
         found = [
             bench.run(block, f"{block}: {named.words}", [one],
@@ -142,7 +156,8 @@ class _CallableRows:
         ]  # fmt: skip
         if row:
             row.write(rows)
-        yield bench.scores_of(block, named.words, rows, _joined(found))
+        reads = self.reads if block == "test" else None
+        yield bench.scores_of(block, named.words, rows, _joined(found), reads)
 
 
 @dataclass
@@ -187,7 +202,7 @@ class _BundleRows:
             bundle.policy, bundle.prompts[start], bundle.returns(start), bundle.family,
             chosen.tasks, tasks[0], bundle.config.window,
         )  # fmt: skip
-        method = f"{bundle.config.name} {start}"
+        method = f"{bundle.config.name} {spoken(start)}"
         row = self.keeper and self.keeper.row(bench, name, method, policy.fingerprint, reads)
         actor = _BundleActor(policy, tasks)
         scores = bench.score(block, method, rows, actor, reads, row.kept if row else None)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from mpdt.errors import MissingFileError, UsageError, quoted
 from mpdt.train.bundle.acting import ActingPolicy
 from mpdt.train.bundle.read import is_bundle, read_bundle, read_config
-from mpdt.train.bundle.select import policy_of_bundle
+from mpdt.train.bundle.select import policy_of_bundle, refuse_left_out
 
 if TYPE_CHECKING:
     from mpdt.train.run.stored import Adaptation
@@ -47,6 +47,7 @@ def load_policy(
     found = next((one for one in (folder, folder / "policy") if is_bundle(one)), None)
     if found is not None and data is None and not callable(start):
         config = read_config(found)
+        refuse_left_out(config, start)
         starts = [one.name for one in config.prompts]
         # A start that the run did not try: the run itself may still know its data.
         if found == folder or start is None or start in starts:

@@ -1,6 +1,7 @@
 """One table for all families by protocol: what a policy may read of an unseen task first.
 
     nothing                  the task is not told
+    the task's name          which training task it is: known tasks, other goals
     X                        random episodes without rewards: the published protocol
     X and rewards            the same with the simulator's rewards ("inferred")
     own episodes             K of its own, with rewards and successes (docs/decisions/0033)
@@ -58,8 +59,10 @@ class Protocol:
     own: int = 0
 
 
+TOLD_NAME = Protocol("the task's name", ("task id",))
 PROTOCOLS = (
-    Protocol("nothing", NOTHING),
+    Protocol("nothing", ("nothing",)),
+    TOLD_NAME,
     Protocol("X alone (published)", ("X",)),
     Protocol("X and rewards, inferred", ("X+rewards",)),
     *(Protocol(own_episodes(count), TRIALS, count) for count in COUNTS),
@@ -86,7 +89,8 @@ def protocols_table(cells: Sequence[CellResult]) -> Table:
         own = [cell for cell in cells if cell.data == data]
         lines += list(_lines(data, own))
         told = {line[1] for line in lines if line[0] == data}
-        absent = [one.name for one in PROTOCOLS if one.name not in told]
+        # Only known tasks have a name that could be told.
+        absent = [one.name for one in PROTOCOLS if one.name not in told and one is not TOLD_NAME]
         missing += [f"{data}: no row that reads {', '.join(absent)}"] if absent else []
     notes = ("seeds: of training; runs: these times seeds of trials; weights that several labels "
              "judged without reading anything are one row",)  # fmt: skip

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.reference import Reference, References
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.verbs.describe import describe, level_table, reference_table
@@ -36,6 +37,20 @@ def test_references_by_hand(tiny_file: Path) -> None:
     forward, backward = level_table(data).splitlines()[1:]
     assert forward.split()[2:4] == ["16", "0.0"] and "0.12" in forward
     assert backward.split()[3] == "-", "nothing is known of zero action there"
+
+
+def test_roll_outs_of_another_length_have_no_level(tiny_file: Path) -> None:
+    """Their level is not on record, for references are of the data's length."""
+    data = open_dataset(tiny_file)
+    quality = np.full_like(data.episodes.quality, QUALITY_CODES["policy"])
+    levels = np.where(data.policies.tasks == 0, np.float32("nan"), np.float32(0.5))
+    data = replace(
+        data, tasks=replace(data.tasks, references=(KNOWN, KNOWN)),
+        episodes=replace(data.episodes, quality=quality),
+        policies=replace(data.policies, levels=levels),
+    )  # fmt: skip
+    forward, backward = (line.split() for line in level_table(data).splitlines()[1:])
+    assert forward[-2] == "-" and float(backward[-2]) != 0
 
 
 def test_references_as_json(tiny_file: Path) -> None:

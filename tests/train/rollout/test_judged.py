@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -19,8 +20,10 @@ from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import CHECKS, verify
 from mpdt.errors import DataError, UsageError
 from mpdt.seeding import generator_of
+from mpdt.train.adapt.trials.protocol import spoken
 from mpdt.train.bundle.format import FamilyFacts
-from mpdt.train.bundle.read import read_config
+from mpdt.train.bundle.read import read_bundle, read_config
+from mpdt.train.bundle.select import policy_of_bundle
 from mpdt.train.run.judge_outside import _material, check_fits
 
 from .conftest import run
@@ -77,6 +80,21 @@ def test_a_bundle_is_judged_to_the_same_numbers(trained, tmp_path, capsys):
     for block in ("train", "test"):
         assert told(theirs, block, "random") == told(ours, block, "random")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["b-cross.h5", "b-none.h5", "b-own.h5"]
+    assert run(*words, "--reads", "X") == 2
+    assert "a bundle says itself what was read" in capsys.readouterr().err
+
+
+def test_what_is_left_out_of_a_bundle_is_said_to_be(trained):
+    bundle = read_bundle(trained / "policy")
+    config = msgspec.structs.replace(bundle.config, left_out=("trials-alone-3",))
+    with pytest.raises(UsageError, match="'trials-alone-3' is left out"):
+        policy_of_bundle(replace(bundle, config=config), "forward", "trials-alone-3")
+
+
+def test_own_episodes_are_counted_in_the_name_of_a_row():
+    """The leaderboard finds its protocol by the count at the end."""
+    assert spoken("trials-alone-10") == "10 own episodes" and spoken("cross") == "cross"
+    assert spoken("trials-with_x-3") == "X and 3 own episodes"
 
 
 def test_statistics_are_compared_before_anybody_acts(trained, tiny_file):

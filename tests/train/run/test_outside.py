@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import sys
 
+import msgspec
 import numpy as np
 import pytest
 
+import mpdt
 from mpdt.data.sim.actors import UniformPolicy, ZeroPolicy
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset
@@ -101,8 +103,8 @@ def theirs(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
-def judged(policy, file, keep=None, settings=SETTINGS):
-    return judge_outside(policy, str(file), settings, Progress(quiet=True), keep)
+def judged(policy, file, keep=None, settings=SETTINGS, reads=None):
+    return judge_outside(policy, str(file), settings, Progress(quiet=True), keep, reads)
 
 
 def rows(results, method):
@@ -124,6 +126,16 @@ def test_the_table_is_that_of_ours(theirs, tiny_file):
         assert rows(results, name)["forward"]["mean"] == by_hand.returns[0].mean()
     assert found["forward"]["beats_trivial"] is False
     assert set(rows(results, "expert")) == set(found)
+
+
+def test_who_judges_says_what_was_read(theirs, tiny_file):
+    """Of test tasks alone; the versions that judged stand there as well."""
+    settings = msgspec.structs.replace(SETTINGS, blocks=("test",))
+    results = judged("theirs:zero", tiny_file, settings=settings, reads="X")
+    assert {s["reads"] for s in rows(results, "theirs:zero").values()} == {"X"}
+    assert results["versions"]["mpdt"] == mpdt.__version__
+    both = rows(judged("theirs:zero", tiny_file, reads="X"), "theirs:zero")
+    assert {s.get("reads") for s in both.values()} == {None}, "these are training tasks"
 
 
 def test_what_a_callable_is_given(theirs, tiny_file):

@@ -41,12 +41,15 @@ def test_each_protocol_has_the_best_of_its_own_rows():
     read = [
         ("zero action", 1.0, None), ("m infer", 5.0, "X+rewards"), ("n infer", 4.0, "X+rewards"),
         ("m 3 own episodes", 7.0, "trials"), ("m 10 own episodes", 9.0, "trials"),
-        ("m few-shot", 8.0, "labelled steps"),
+        ("m few-shot", 8.0, "labelled steps"), ("m own prompts", 6.0, "task id"),
+        ("m not adapted", 3.0, "nothing"),
     ]  # fmt: skip
     table = protocols_table([cell(0, read)])
     told = {line[1]: (line[2], *line[5:]) for line in table.rows}
     assert told == {
         "zero action": ("1.0", "0.10", "-", "-", "-"),
+        "nothing": ("3.0", "0.30", "m not adapted", "1", "1"),
+        "the task's name": ("6.0", "0.60", "m own prompts", "1", "1"),
         "X and rewards, inferred": ("5.0", "0.50", "m infer", "1", "2"),
         "3 own episodes": ("7.0", "0.70", "m 3 own episodes", "1", "1"),
         "10 own episodes": ("9.0", "0.90", "m 10 own episodes", "1", "1"),
@@ -54,6 +57,8 @@ def test_each_protocol_has_the_best_of_its_own_rows():
     }
     absent = [one.name for one in PROTOCOLS if one.name not in told]
     assert table.notes[1] == f"d: no row that reads {', '.join(absent)}"
+    few = protocols_table([cell(0, read[:2])]).notes[1]
+    assert "nothing, X alone" in few, "of an unseen class there is no name to be told"
 
 
 def test_trials_of_several_seeds_are_one_row_and_no_more_seeds():

@@ -47,6 +47,15 @@ LABELS: dict[TrialRow, str] = {
 """How a row is called; the table of protocols looks for the count at the end."""
 
 
+def spoken(name: str) -> str:
+    """trials-alone-10 -> 10 own episodes; names of other candidates stay."""
+    for row, label in LABELS.items():
+        head, _, count = name.rpartition("-")
+        if head == f"trials-{row}" and count.isdecimal():
+            return label.format(count)
+    return name
+
+
 @dataclass(frozen=True)
 class TrialResult:
     """One row of the table.
@@ -55,6 +64,7 @@ class TrialResult:
         name: in one word, such as trials-alone-10.
         episodes: the trials it read, task by task.
         own_steps: their number of each task.
+        prompts: (n, l, s) the trained policy acts behind; None where a clone acts for some task.
     """
 
     name: str
@@ -63,6 +73,7 @@ class TrialResult:
     reads: Reads
     episodes: tuple[Episode, ...]
     own_steps: tuple[int, ...]
+    prompts: Tensor | None
 
 
 @dataclass(frozen=True)
@@ -157,19 +168,21 @@ def _result(
     ground: Ground, row: TrialRow, count: int, returns: ReturnTable, found: Sequence[Tried]
 ) -> TrialResult:
     """What the first `count` trials speak for, task by task."""
-    family, actors = ground.trained.material.family, []
-    for i, tried in enumerate(found):
-        one = tried.contenders[tried.chosen[count]]
-        actors.append(
-            PromptController(one.policy, one.prompt, returns.select(torch.tensor([i])),
-                             ground.window, family.action_low, family.action_high)
-        )  # fmt: skip
+    trained, family = ground.trained, ground.trained.material.family
+    chosen = [tried.contenders[tried.chosen[count]] for tried in found]
+    actors = [
+        PromptController(one.policy, one.prompt, returns.select(torch.tensor([i])), ground.window,
+                         family.action_low, family.action_high)
+        for i, one in enumerate(chosen)
+    ]  # fmt: skip
+    is_trained = all(one.policy is trained.policy for one in chosen)
     lived = [tried.episodes[:count] for tried in found]
     return TrialResult(
         f"trials-{row}-{count}", LABELS[row].format(count), PerTaskController(actors),
         "X+rewards, trials" if row == "with_x" else "trials",
         tuple(episode for episodes in lived for episode in episodes),
         tuple(sum(episode.length for episode in episodes) for episodes in lived),
+        torch.cat([one.prompt for one in chosen]) if is_trained else None,
     )  # fmt: skip
 
 

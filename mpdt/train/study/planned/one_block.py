@@ -67,7 +67,7 @@ ONE_BLOCK: tuple[Cell, ...] = (
     one("mt10", "MPDT-E", STARTS),
     *(cell_of(data, method, seed) for data in ("cheetah_dir", "ant_dir", "ml10")
       for seed in (1, 2) for method in _THRICE),
-    # As on cheetah_vel: five seeds of the five methods on ml10; three where there is no class unseen.
+    # As on cheetah_vel: five seeds of the five methods on ml10; three where no class is unseen.
     *(cell_of(data, method, seed) for data in ("cheetah_dir", "ant_dir", "ml10")
       for seed in (1, 2) for method in _FIVE_TIMES if method not in _THRICE),
     *(cell_of("ml10", method, seed) for seed in (3, 4) for method in _FIVE_TIMES),

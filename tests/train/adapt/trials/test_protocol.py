@@ -152,6 +152,9 @@ def test_where_there_is_no_success_mixtures_near_the_best_are_tried(tiny_file, t
     trained = trained_with(tiny_file, config_with()).prompts.task_prompts().detach()
     earned = [e.episode_return for e in found[f"trials-{row}-5"].tried[:5]]
     earned = earned[1:] if row == "alone" else earned
+    one = found[f"trials-{row}-5"]
+    assert any(torch.equal(one.prompts[:1], kept[f"contender.{i}.prompt"]) for i in range(6)
+               if f"contender.{i}.prompt" in kept), "a bundle can hold it"  # fmt: skip
     numbers = [i for i in range(6) if f"contender.{i}.prompt" in kept]
     tried = [kept[f"contender.{i}.prompt"] for i in numbers[-len(earned) :]]
     for n, (_, share, _, name) in enumerate(moves, start=1):
