@@ -9,7 +9,7 @@ under a name nobody else has; flushes; and renames, if the target still is what 
 
 from mpdt.disk.content import reserve, sha256, sync, sync_tree
 from mpdt.disk.hold import Hold, Seen, holding, real_path
-from mpdt.disk.refusal import disk
+from mpdt.disk.refusal import disk, expect_folder
 from mpdt.disk.replace import (
     appearing,
     check_replaceable,
@@ -19,6 +19,6 @@ from mpdt.disk.replace import (
     write_bytes,
 )
 
-__all__ = ["Hold", "Seen", "appearing", "check_replaceable", "disk", "holding", "put_file",
-           "put_folder", "real_path", "replacing", "reserve", "sha256", "sync", "sync_tree",
-           "write_bytes"]  # fmt: skip
+__all__ = ["Hold", "Seen", "appearing", "check_replaceable", "disk", "expect_folder", "holding",
+           "put_file", "put_folder", "real_path", "replacing", "reserve", "sha256", "sync",
+           "sync_tree", "write_bytes"]  # fmt: skip

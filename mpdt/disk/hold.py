@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mpdt.disk.holder import Holder, read_holder
-from mpdt.disk.refusal import disk
+from mpdt.disk.refusal import disk, expect_folder
 from mpdt.errors import BusyError, StorageError, quoted
 
 WAIT_S = 10.0
@@ -104,8 +104,7 @@ def holding(
         path = real_path(target)
         if not path.parent.is_dir():
             parent = path.parent if target.is_symlink() else target.parent
-            raise StorageError("folder does not exist", where=str(parent),
-                               hint=f"mkdir -p {quoted(parent)}")  # fmt: skip
+            expect_folder(parent)
         holds: dict[Path, Hold] = _mine.__dict__.setdefault("holds", {})
         cover = holds.get(path) or next((holds[p] for p in holds if _covers(p, path)), None)
         if cover is not None and cover.pid != os.getpid():  # a forked child holds nothing

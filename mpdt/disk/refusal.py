@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from mpdt.errors import MpdtError, StorageError
+from mpdt.errors import MpdtError, StorageError, quoted
 
 # HDF5 often keeps the text of an error only, hence both.
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -15,6 +15,18 @@ _FULL_TEXTS = ("No space left", "File too large")
 _READ_ONLY, _READ_ONLY_TEXT = errno.EROFS, "Read-only file system"
 _FORBIDDEN = {errno.EACCES, errno.EPERM}
 _FORBIDDEN_TEXTS = ("Permission denied", "Operation not permitted")
+
+
+def expect_folder(folder: Path) -> None:
+    """Raises: StorageError unless something can be put into `folder`."""
+    if folder.is_dir():
+        return
+    existing = next((place for place in (folder, *folder.parents) if place.exists()), folder)
+    if existing.exists() and not existing.is_dir():
+        raise StorageError("a file is in the way", where=str(existing), expected="a folder",
+                           hint="choose another folder or name")  # fmt: skip
+    raise StorageError("the folder does not exist", where=str(folder),
+                       hint=f"mkdir -p {quoted(folder)}")  # fmt: skip
 
 
 @contextmanager

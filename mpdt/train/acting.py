@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from mpdt.data.remote.address import revealed
-from mpdt.errors import visible
+from mpdt.errors import UsageError, visible
 from mpdt.train.options import PROG
 from mpdt.train.policy_options import (
     Adapt,
@@ -60,6 +60,11 @@ def judge(command: Evaluate, rest: list[str]) -> int:
         type(stored), prog=PROG, args=rest,
         default=msgspec.structs.replace(stored, evaluation=evaluation),
     )  # fmt: skip
+
+    if config.method != stored.method:
+        raise UsageError("the method of a stored run is no setting of judging", where="--method",
+                         expected=stored.method, found=config.method,
+                         hint="mpdt-train --data FILE --method NAME trains another")  # fmt: skip
 
     def body(stop: StopRequest) -> int:
         results = run_pipeline(

@@ -60,6 +60,8 @@ def test_a_place_is_tried_before_the_work(tmp_path):
     for target, what in (
         (tmp_path / "no" / "a", "folder does not exist"),
         (tmp_path, "a folder is in the way"),
+        (Path(__file__) / "a", "a file is in the way"),
+        (Path(__file__) / "b" / "a", "a file is in the way"),
         (tmp_path / ("x" * 253), "cannot be written"),  # room for the name, none for `.tmp`
     ):
         with pytest.raises(StorageError, match=what) as caught:

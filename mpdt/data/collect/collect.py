@@ -30,7 +30,8 @@ from mpdt.data.spec.entry import spec_hash
 from mpdt.data.spec.family import decisive, own_definition
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
-from mpdt.errors import BusyError, DataError, FormatError, StorageError, quoted
+from mpdt.disk import expect_folder
+from mpdt.errors import BusyError, DataError, FormatError, StorageError
 
 
 @dataclass(frozen=True)
@@ -199,12 +200,7 @@ def check_space(plan: Plan, target: Path) -> None:
 
     Raises: StorageError.
     """
-    if not target.parent.is_dir():
-        raise StorageError(
-            "the folder does not exist",
-            where=str(target.parent),
-            hint=f"mkdir -p {quoted(target.parent)}",
-        )
+    expect_folder(target.parent)
     needed, free = 2 * plan.file_bytes, shutil.disk_usage(target.parent).free
     parts = PartsFolder(target).path / "blocks"
     if parts.is_dir():

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from mpdt.errors import DataError, StorageError, quoted
+from mpdt.disk import expect_folder
+from mpdt.errors import DataError
 from mpdt.reading import missing, refuse_special
 
 _SUMS = "SHA256SUMS"  # beside whatever `mpdt-data pull` brought
@@ -62,6 +63,4 @@ def refuse_existing(target: Path) -> None:
     if target.exists():
         raise DataError("an export would replace something", where=str(target),
                         hint="choose another name with -o, or move it away first")  # fmt: skip
-    if not target.parent.is_dir():
-        raise StorageError("folder does not exist", where=str(target.parent),
-                           hint=f"mkdir -p {quoted(target.parent)}")  # fmt: skip
+    expect_folder(target.parent)

@@ -131,8 +131,9 @@ def incoming(
     Raises: DataError and ShapeError naming file and episode; UsageError without any source.
     """
     if not sources:
-        raise UsageError(f"nothing to import as {rules.format}",
-                         hint="name files, or a folder with files in it")  # fmt: skip
+        hint = "" if remarks else "name files, or a folder with files in it"
+        raise UsageError(f"nothing to import as {rules.format}", found="; ".join(remarks[:3]),
+                         hint=hint)  # fmt: skip
     ordered = sorted(sources, key=lambda s: (s.task.index, s.quality, natural(str(s.path))))
     seen: set[tuple[int, bytes]] = set()
     tallies = [_count(source, rules, seen) for source in ordered]

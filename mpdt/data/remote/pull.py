@@ -19,8 +19,8 @@ from mpdt.data.remote.failure import RefusedError
 from mpdt.data.remote.part import Part, part_of, take_part
 from mpdt.data.remote.place import Place
 from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, loaded, prove
-from mpdt.disk import disk, holding, put_folder, sha256
-from mpdt.errors import DataError, MissingFileError, RemoteError, UsageError, quoted
+from mpdt.disk import disk, expect_folder, holding, put_folder, sha256
+from mpdt.errors import DataError, MissingFileError, RemoteError, UsageError
 
 SPARED_BYTES = 1 << 28  # left free by a server that does not say how much it will send
 Tell = Callable[[str, int, int | None], None]
@@ -61,9 +61,7 @@ def pull(
     with Place(url) as place, ExitStack() as stack:
         name = last_name(place.path) or last_name(place.path.rstrip("/"))
         target = target or Path(name or "pulled")
-        if not target.parent.is_dir():
-            raise MissingFileError("folder does not exist", where=str(target.parent),
-                                   hint=f"mkdir -p {quoted(target.parent)}")  # fmt: skip
+        expect_folder(target.parent)
         # A signature is for one file alone: nothing lies beside it.
         stack.enter_context(holding(target, wait_s=0, kept="what came so far is kept"))
         is_signed = place.is_read_only and bool(re.search("[?;]", place.path))

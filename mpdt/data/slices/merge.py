@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from mpdt.data.episode import Episode, PolicyInfo
+from mpdt.data.reference import References
 from mpdt.data.slices.cut import refuse_to_replace
 from mpdt.data.slices.merge_claims import imports, statements
 from mpdt.data.slices.merge_tta import merged_tta
@@ -124,7 +125,7 @@ def _parent(sources: Sequence[Dataset]) -> tuple[str, bool]:
 def merged_header(sources: Sequence[Dataset]) -> FileHeader:
     """What a file of all their episodes says about itself.
 
-    Raises: DataError for one task of two names or roles.
+    Raises: DataError for one task of two names or roles, and for two figures of one reference.
     """
     tasks: dict[int, TaskRow] = {}
     policies: dict[tuple[int, bytes], PolicyInfo] = {}
@@ -135,8 +136,10 @@ def merged_header(sources: Sequence[Dataset]) -> FileHeader:
                 raise DataError(f"task {task.index} is {known.name} ({known.role}) and "
                                 f"{task.name} ({task.role})",
                                 where=f"{sources[0].path} and {source.path}")  # fmt: skip
-            if not known.references.by_name:
-                tasks[task.index] = task
+            where = f"{sources[0].path} and {source.path}"
+            if known.references.by_name:
+                task = replace(known, references=_both(known, task, where))
+            tasks[task.index] = task
         for policy in source.policy_infos():
             policies.setdefault((policy.task, policy.hash), policy)
     first = sources[0]
@@ -154,6 +157,25 @@ def merged_header(sources: Sequence[Dataset]) -> FileHeader:
         parent=_parent(sources)[0],
         lineage=[step],
     )
+
+
+def _both(one: TaskRow, two: TaskRow, where: str) -> References:
+    """What either knows of a task. Raises: DataError for a reference with two mean returns."""
+    known, more = one.references, two.references
+    for name, reference in more.by_name.items():
+        other = known[name]
+        if other.is_known and reference.is_known and other.mean != reference.mean:
+            raise DataError(
+                f"two figures for the reference {name} of {one.name}", where=where,
+                expected="one, for returns are compared with it",
+                found=f"{other.mean:g} and {reference.mean:g}",
+                hint="mpdt-data reference FILE measures those of a file again",
+            )  # fmt: skip
+    new = {name: reference for name, reference in more.by_name.items() if not known[name].is_known}
+    action = known.constant_action
+    if "constant" in new or not action:
+        action = more.constant_action or action
+    return References({**known.by_name, **new}, action)
 
 
 def _spec(sources: Sequence[Dataset]) -> Mapping[str, Any]:

@@ -91,11 +91,13 @@ def tta_episodes(
         )
 
 
-def find_tta_set(dataset: Dataset, name: str, rows: Sequence[int]) -> TtaSet:
+def find_tta_set(dataset: Dataset, name: str, rows: Sequence[int], asked: int = 0) -> TtaSet:
     """The set of that name, if it covers all these task rows.
 
-    Raises: DataError for a file without sets or a task without episodes in this one, UsageError
-        for an unknown name.
+    Args:
+        asked: episodes that it has to have of each.
+    Raises: DataError for a file without sets and a task without episodes in this one, or with fewer
+        than are asked for; UsageError for an unknown name.
     """
     where = str(dataset.path)
     if not dataset.tta:
@@ -109,6 +111,11 @@ def find_tta_set(dataset: Dataset, name: str, rows: Sequence[int]) -> TtaSet:
             raise DataError(f"the TTA set '{name}' has no episodes of test task "
                             f"{dataset.tasks.names[row]}", where=where,
                             hint="skip adaptation: --adapt.starts none")  # fmt: skip
+        if len(chosen.of_task(row)) < asked:
+            raise DataError(f"too few episodes of {dataset.tasks.names[row]} in the TTA set "
+                            f"'{name}'", where=where, expected=f"{asked} (adapt.episodes)",
+                            found=str(len(chosen.of_task(row))),
+                            hint="ask for fewer, or 0 for all of them")  # fmt: skip
     return chosen
 
 

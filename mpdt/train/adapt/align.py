@@ -135,8 +135,8 @@ class AdaptationSet:
 
     Attributes:
         source, ids: the set, and the episodes of each task in it; no rewards among them.
-    Raises: UsageError for an unknown set, DataError for a task without episodes in it and for an
-        episode with what is no number.
+    Raises: UsageError for an unknown set, DataError for a task without episodes in it or with fewer
+        than are asked for, and for an episode with what is no number.
     """
 
     def __init__(
@@ -151,7 +151,9 @@ class AdaptationSet:
     ) -> None:
         self._settings, self._window, self._seed = settings, window, seed
         self._low, self._high = low, high
-        self._dataset, self._set = dataset, find_tta_set(dataset, settings.set, rows)
+        self._dataset, self._set = dataset, find_tta_set(
+            dataset, settings.set, rows, settings.episodes
+        )  # fmt: skip
         self._rows = np.asarray(rows, np.int64)
         # A TtaSet holds step arrays and episode columns side by side.
         self.source = _Source(self._set, self._set)

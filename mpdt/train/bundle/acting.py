@@ -85,7 +85,7 @@ class ActingPolicy:
             raise ShapeError("one environment after many", where="act",
                              expected=f"act_batch with {len(self._names)} rows",
                              hint="begin an episode without a reward")  # fmt: skip
-        shown = np.asarray(observation, np.float32)[None]
+        shown = self._numbers(observation)[None]
         starts = np.array([reward is None])
         action: NDArray[np.float32] = self.act_batch(
             shown, None if reward is None else [reward], starts
@@ -162,7 +162,7 @@ class ActingPolicy:
             episode_start: (B,) bool, rows whose episode begins.
             deterministic: it always is.
         """
-        given = np.asarray(observation, np.float32)
+        given = self._numbers(observation)
         shown = self._shown(given[None] if given.ndim == 1 else given)
         loop: ClosedLoop = (
             self._new_loop((self.task,) * len(shown)) if state is None else state[0].fork()
@@ -187,9 +187,18 @@ class ActingPolicy:
     def _asked(self, names: Sequence[str]) -> Array:
         return np.array([self._targets[name] for name in names])
 
+    def _numbers(self, observations: ArrayLike) -> NDArray[np.float32]:
+        """A copy as float32. Raises: ShapeError for what is no array of numbers."""
+        try:
+            return np.array(observations, np.float32)
+        except (TypeError, ValueError) as error:
+            raise ShapeError("an observation is an array of numbers", where=self.family.name,
+                             expected=f"({self.family.observation_size},)",
+                             found=str(error)) from error  # fmt: skip
+
     def _shown(self, observations: ArrayLike) -> NDArray[np.float32]:
         """Observations as the data shows them."""
-        shown = np.array(observations, np.float32)
+        shown = self._numbers(observations)
         if shown.ndim != 2 or shown.shape[1] != self.family.observation_size:
             raise ShapeError("observations of this family", where=self.family.name,
                              expected=f"(rows, {self.family.observation_size})",

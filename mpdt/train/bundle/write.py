@@ -9,8 +9,8 @@ from pathlib import Path
 import msgspec
 from safetensors.torch import save
 
-from mpdt.disk import appearing, disk, holding
-from mpdt.errors import StorageError, quoted
+from mpdt.disk import appearing, disk, expect_folder, holding
+from mpdt.errors import StorageError
 from mpdt.train.bundle.format import (
     CARD,
     CONFIG,
@@ -43,9 +43,7 @@ def write_bundle(target: Path, contents: Contents, card: str) -> BundleConfig:
 
 def check_free(target: Path) -> None:
     """Raises: StorageError where no bundle can be written, before the work for it is done."""
-    if not target.parent.is_dir():
-        raise StorageError("folder does not exist", where=str(target.parent),
-                           hint=f"mkdir -p {quoted(target.parent)}")  # fmt: skip
+    expect_folder(target.parent)
     if target.exists() or target.is_symlink():
         raise StorageError("something is there already", where=str(target),
                            hint="choose another folder with -o")  # fmt: skip

@@ -24,7 +24,7 @@ from mpdt.data.sim.actors import Actor, Rows
 from mpdt.data.sim.batch import BatchEnv, roll_out
 from mpdt.data.sim.play import Record
 from mpdt.data.sim.simulators import make_batch
-from mpdt.errors import TrainingError, check_at_least
+from mpdt.errors import TrainingError, UsageError, check_at_least
 from mpdt.seeding import Quality, SeedKey
 
 if TYPE_CHECKING:
@@ -59,6 +59,9 @@ class EvaluationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
             ("seed", 0),
         ):
             check_at_least(f"evaluation.{name}", getattr(self, name), least)
+        if not self.blocks:
+            raise UsageError("at least one is needed", where="evaluation.blocks",
+                             expected="train, test or both")  # fmt: skip
 
 
 Make = Callable[["Family", Sequence["Task"], Mapping[str, float | bool]], BatchEnv]

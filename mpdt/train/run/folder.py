@@ -146,10 +146,11 @@ def locate(runs_dir: Path, name: str) -> RunFolder:
     return RunFolder(runs_dir / name)
 
 
-def inspect(folder: RunFolder, identity: Identity, restart: bool) -> None:
+def inspect(folder: RunFolder, identity: Identity, restart: bool, judges: bool = False) -> None:
     """Whether this run may be in there; changes nothing.
 
     Args:
+        judges: its weights are only judged, by a command that neither names nor restarts a run.
         restart: what an earlier run left may be another's, for it will go.
     Raises: TrainingError for a folder of another run or of no run at all, FormatError for one
         whose config.json is damaged or that holds links, StorageError where the disk would refuse.
@@ -170,7 +171,7 @@ def inspect(folder: RunFolder, identity: Identity, restart: bool) -> None:
             folder.refuse_links()
         if folder.config.exists():
             if not restart:
-                _compare(folder, identity)
+                _compare(folder, identity, judges)
         elif any(not _LEFTOVER.fullmatch(entry.name) for entry in path.iterdir()):
             raise TrainingError("this folder holds files but no run", where=str(path),
                                 hint="choose another --name, or move it away")  # fmt: skip
@@ -196,35 +197,56 @@ def claimed(folder: RunFolder, identity: Identity, restart: bool) -> Iterator[No
                 sync(folder.path.parent)
             if restart:
                 _clear(folder)
-            stored = {"format": FORMAT, "training": identity.training, "judging": identity.judging}
-            write_bytes(folder.config, (json.dumps(stored, indent=1) + "\n").encode())
+            if not folder.config.exists():
+                write_config(folder, identity)
             yield
         finally:
             with suppress(OSError):
                 folder.path.rmdir()  # only if nothing was written: a full disk leaves no trace
 
 
-def _compare(folder: RunFolder, identity: Identity) -> None:
+def write_config(folder: RunFolder, identity: Identity) -> None:
+    """With the first step, and beside every results.json: a judgement that fails leaves the
+    settings of the one before, which the next one starts from.
+
+    Raises: StorageError.
+    """
+    stored = {"format": FORMAT, "training": identity.training, "judging": identity.judging}
+    write_bytes(folder.config, (json.dumps(stored, indent=1) + "\n").encode())
+
+
+def _compare(folder: RunFolder, identity: Identity, judges: bool) -> None:
     """Raises: TrainingError naming what differs from the training of the run that is there."""
-    stored = _read_config(folder)
+    stored, name = _read_config(folder), quoted(folder.path.name)
     old, new = stored["training"]["data"], identity.training["data"]
     for key, what in (("family", "another family"), ("content_hash", "other episodes")):
         if old.get(key) != new[key]:
             raise TrainingError(
                 f"the run in this folder was trained on {what}", where=str(folder.path),
                 expected=str(old.get(key))[:12], found=new[key][:12],
-                hint="take the file it was trained on, or keep both with "
-                f"--name {quoted(folder.path.name)}-2",
+                hint="take the file it was trained on"
+                + ("" if judges else f", or keep both with --name {name}-2"),
             )  # fmt: skip
     changed = changed_keys(stored["training"], identity.training)
     if changed:
         text = "; ".join(changed[:4]) + (f" and {len(changed) - 4} more" if changed[4:] else "")
-        raise TrainingError(
+        what, hint = (
             "another run lives in this folder",
-            where=str(folder.path),
-            found=re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1", text),
-            hint=f"keep both with --name {quoted(folder.path.name)}-2, or begin anew: --restart",
+            f"keep both with --name {name}-2, or begin anew: --restart",
         )
+        if judges:
+            what = "this run was trained with other settings"
+            hint = f"mpdt-train --data FILE --name {name}-2 trains another"
+        raise TrainingError(
+            what, where=str(folder.path), hint=hint,
+            found=re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1", text),
+        )  # fmt: skip
+
+
+def _anew(folder: RunFolder) -> str:
+    """What to do about a config.json that tells nothing, in a command that takes it."""
+    return (f"move the folder away, or mpdt-train --data FILE --name {quoted(folder.path.name)} "
+            "--restart begins anew")  # fmt: skip
 
 
 def _read_config(folder: RunFolder) -> dict[str, Any]:
@@ -238,24 +260,24 @@ def _read_config(folder: RunFolder) -> dict[str, Any]:
     except MpdtError as error:
         raise TrainingError("unreadable", where=str(folder.config),
                             found=error.found or error.what,
-                            hint="begin anew with --restart") from error  # fmt: skip
+                            hint=_anew(folder)) from error  # fmt: skip
     if (found := str(stored.get("format"))) != FORMAT:
         raise TrainingError(
             "not a run of this version",
             where=str(folder.config),
             expected=FORMAT,
             found=found,
-            hint="choose another --name, or begin anew with --restart",
+            hint=_anew(folder),
         )
     for part in ("training", "judging"):
         facts = stored.get(part)
         if not (isinstance(facts, dict) and isinstance(facts.get("data"), dict)):
             raise FormatError(f"no object '{part}' with its 'data'", where=str(folder.config),
                               found=json.dumps(facts)[:40],
-                              hint="begin anew with --restart")  # fmt: skip
+                              hint=_anew(folder))  # fmt: skip
         if not isinstance(facts["data"].get("slice"), str | None):
             raise FormatError(f"the slice in '{part}' is no name", where=str(folder.config),
-                              hint="begin anew with --restart")  # fmt: skip
+                              hint=_anew(folder))  # fmt: skip
     return stored
 
 
@@ -284,7 +306,7 @@ def stored_settings(path: Path) -> TrainConfig:
     except SpecError as error:
         raise FormatError(
             "the settings of this run are damaged", where=str(folder.config), found=error.found,
-            hint="begin anew with --restart",
+            hint=_anew(folder),
         ) from error  # fmt: skip
 
 

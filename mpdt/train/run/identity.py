@@ -132,7 +132,8 @@ def _validated_on(material: Material) -> dict[str, str]:
 def _judged_on(config: TrainConfig, material: Material) -> dict[str, Any]:
     dataset, tasks, x = material.dataset, material.dataset.tasks, {}
     if config.adapt.needs_set and material.test_rows:
-        chosen = find_tta_set(dataset, config.adapt.set, material.test_rows)
+        chosen = find_tta_set(dataset, config.adapt.set, material.test_rows,
+                              config.adapt.episodes)  # fmt: skip
         presets = _hash_arrays([chosen.task, chosen.preset_return])
         x = {"content_hash": chosen.content_hash, "presets": presets}
     return {

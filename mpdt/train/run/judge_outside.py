@@ -29,6 +29,7 @@ from mpdt.train.run.bench import Bench
 from mpdt.train.run.keep import Keeper
 from mpdt.train.run.load import local_folder
 from mpdt.train.run.outside import Named, OutsideActor, load_callable
+from mpdt.train.run.prepare import check_sizes
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.results import VERSIONED
 from mpdt.version import installed
@@ -52,6 +53,7 @@ def judge_outside(
         `read_bundle`, `check_fits`; Stopped after a signal.
     """
     told: dict[str, Any] = {}
+    check_sizes({"evaluation": msgspec.to_builtins(settings)})
     material = _material(ref)
     bench = Bench(material, settings, progress)
     folder = local_folder(policy) if "://" in policy else Path(policy)

@@ -23,8 +23,8 @@ from mpdt.data.store.layout import checked_name
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.writer import write_file
-from mpdt.disk import check_replaceable
-from mpdt.errors import DataError, FormatError, StorageError, quoted
+from mpdt.disk import check_replaceable, expect_folder
+from mpdt.errors import DataError, FormatError
 from mpdt.train.evaluate.rollout import Kept
 from mpdt.train.evaluate.score import Reads
 from mpdt.train.run.bench import Bench
@@ -51,10 +51,7 @@ class Keeper:
     single: bool = False
 
     def __post_init__(self) -> None:
-        folder = self.target.parent
-        if not folder.is_dir():
-            raise StorageError("the folder does not exist", where=str(folder),
-                               hint=f"mkdir -p {quoted(folder)}")  # fmt: skip
+        expect_folder(self.target.parent)
 
     def row(
         self, bench: Bench, name: str, method: str, fingerprint: bytes, reads: Reads | None = None

@@ -36,7 +36,7 @@ from mpdt.train.fit.validation import PHASE
 from mpdt.train.run.begin import Beginning
 from mpdt.train.run.build import build
 from mpdt.train.run.config import to_plain
-from mpdt.train.run.folder import RunFolder, claimed, inspect
+from mpdt.train.run.folder import RunFolder, claimed, inspect, write_config
 from mpdt.train.run.follower import Follower
 from mpdt.train.run.judge import Judge
 from mpdt.train.run.keep import Keeper
@@ -102,7 +102,7 @@ def run_pipeline(
                 follower.begin(folder, prepared)
                 follower.judged(done)
         return done or {}
-    inspect(folder, identity, restart)
+    inspect(folder, identity, restart, judges=how == "judge")
     if how == "judge" and not folder.weights.exists():
         raise MissingFileError("no trained weights in this run", where=str(folder.path),
                                hint=f"mpdt-train --data {quoted(prepared.ref)} "
@@ -189,6 +189,7 @@ def _train_and_judge(trainer: Trainer, keeper: Keeper | None = None) -> dict[str
     # results.json goes first and comes last: it is what marks a run as done.
     with disk(folder.results):
         set_aside(folder)
+    write_config(folder, prepared.identity)
     remove_bundle(folder.policy)
     write_bytes(folder.report, markdown_page(facts, build_tables(scores), NORMALISED).encode())
     _leave_policy(trainer, trained, judge.acting, scores)

@@ -86,7 +86,8 @@ def _read(path: Path) -> tuple[CellFile, dict[str, Any]]:
         content = read_json(path)
         file = msgspec.convert({**content, "scores": scores_in(content)}, CellFile)
     except (StorageError, ValueError, KeyError, RecursionError) as error:
-        raise FormatError("not the result of a cell", where=str(path), found=str(error),
+        found = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
+        raise FormatError("not the result of a cell", where=str(path), found=found,
                           hint=_AGAIN) from error  # fmt: skip
     check_digest(content, str(path), _AGAIN)
     for (method, block), tasks in file.tasks.items():

@@ -85,7 +85,7 @@ def is_study(folder: Path) -> bool:
 def studies_in(folder: Path) -> list[Path]:
     """The folders of cells: this one, or those right below it that are no runs."""
     if any(folder.glob("*.json")):
-        return [folder]
+        return [] if (folder / "config.json").exists() else [folder]
     below = sorted({path.parent for path in folder.glob("*/*.json")})
     return [one for one in below if not (one / "config.json").exists()]
 

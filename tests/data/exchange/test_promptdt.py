@@ -154,7 +154,7 @@ def test_wrong_numbers_name_file_and_episode(
         ("cheetah_vel-0-expert.pkl", [], 1, "a file without episodes"),
         ("cheetah_vel-40-expert.pkl", [], 1, "no task 40 in cheetah_vel"),
         ("ant_dir-0-expert.pkl", [], 1, "--family ant_dir"),
-        ("other.pkl", [], 2, "nothing to import as promptdt"),
+        ("other.pkl", [], 2, "other.pkl: not named <env>-<i>-<quality>.pkl"),
     ],
 )  # fmt: skip
 def test_wrong_files(

@@ -308,7 +308,7 @@ def test_passwords_appear_nowhere(
         (("push", "no.h5", "memory://x"), 2, "no such file or folder"),
         (("push", ".", "memory://x"), 1, "an empty folder"),
         (("push", "no.h5", "https://h/x"), 2, "http is read only"),
-        (("pull", "memory://x", "-o", "no/x.h5"), 2, "folder does not exist"),
+        (("pull", "memory://x", "-o", "no/x.h5"), 1, "folder does not exist"),
         (("pull", "sftp://127.0.0.1:1/x"), 1, "the same command goes on from here"),
         (("pull", "http://127.0.0.1:1/x.h5"), 1, "cannot be reached"),
         (("pull", "http://127.0.0.1:1/x.h5?k=v"), 1, "cannot be reached"),

@@ -51,6 +51,19 @@ def test_references_come_from_the_source_that_has_some(tmp_path: Path) -> None:
     assert done.tasks.references[0]["expert"].mean == 9.0
 
 
+def test_what_either_knows_of_a_task_is_kept_and_two_figures_are_refused(tmp_path: Path) -> None:
+    """In both orders: nothing depends on which file comes first."""
+    more = References({"random": Reference(1.0, 0.5, 16, source="local")})
+    other = References({"expert": Reference(8.0, 0.5, 16, source="local")})
+    one, two = made(tmp_path / "a.h5", 0, []), made(tmp_path / "b.h5", 1, [], more)
+    three = made(tmp_path / "c.h5", 2, [], other)
+    for number, sources in enumerate(([one, two], [two, one])):
+        found = merge(sources, tmp_path / f"m{number}.h5").dataset.tasks.references[0]
+        assert (found["expert"].mean, found["random"].mean) == (9.0, 1.0)
+        with pytest.raises(DataError, match="two figures for the reference expert"):
+            merge([*sources, three], tmp_path / "n.h5")
+
+
 def test_episodes_without_a_place_are_none_that_changed(tmp_path: Path) -> None:
     """Imported ones have no block and row to be compared at."""
     one = made(tmp_path / "a.h5", 0, [], seed_key=UNKNOWN_SEED_KEY)

@@ -96,6 +96,14 @@ def test_damaged_results_of_a_run_are_one_error(folder, capsys, damage):
     assert error.startswith(f"error: {folder / 'results.json'}: not the results of a run")
 
 
+def test_a_run_without_results_is_no_damaged_study(folder, capsys):
+    (folder / "results.json").unlink()
+    with pytest.raises(SystemExit) as stop:
+        main(["report", str(folder)])
+    assert stop.value.code == 2
+    assert "the same command continues it" in capsys.readouterr().err
+
+
 def test_a_run_of_results_alone_has_a_page_too(tmp_path):
     content = run_content(results(scores("M")), tmp_path)
     assert not content.curves and not content.maps and not content.warnings

@@ -8,9 +8,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from mpdt.errors import TrainingError
 from mpdt.train.fit.data import load_material
 from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.folder import RunFolder, claimed, locate
+from mpdt.train.run.judge import Judge
 from mpdt.train.run.prepare import prepare
 from mpdt.train.run.spent import Spent
 
@@ -261,12 +263,44 @@ def test_a_stored_run_is_adapted_and_evaluated_without_training(again, tiny_file
 def test_adapting_refuses_other_training_and_what_is_no_run(again, tiny_file, tmp_path, capsys):
     folder, _ = again
     assert call("adapt", folder, "--data", tiny_file, "--prompts.length", 5) == 1
-    assert "found prompts.length 4 -> 5" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "found prompts.length 4 -> 5" in error
+    assert "mpdt-train --data FILE --name r-2 trains another" in error, "adapt has no --restart"
+    assert call("evaluate", folder, "--data", tiny_file, "--method", "Prompt-DT") == 2
+    assert "the method of a stored run is no setting" in capsys.readouterr().err
     assert call("adapt", tmp_path, "--data", tiny_file) == 2
     assert "no run here" in capsys.readouterr().err
     (folder / "weights.safetensors").unlink()
     assert call("evaluate", folder, "--data", tiny_file, "--evaluation.episodes", 1) == 2
     assert "no trained weights in this run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("settings", "where"),
+    [(("--adapt.steps", 10**20), "adapt.steps"), (("--adapt.lr", 1e39), "adapt.lr"),
+     (("--evaluation.seed", 10**20), "evaluation.seed"), (("--adapt.windows", 10**9), "windows"),
+     (("--adapt.episodes", 99), "too few episodes"), (("--evaluation.blocks",), "blocks")],
+)  # fmt: skip
+def test_a_refused_judgement_leaves_the_run_as_it_was(again, tiny_file, capsys, settings, where):
+    folder, _ = again
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    code = call("adapt", folder, "--data", tiny_file, "-q", *settings)
+    error = capsys.readouterr().err
+    assert code in (1, 2) and where in error and "Traceback" not in error
+    assert {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()} == before
+
+
+def test_a_judgement_that_fails_later_leaves_the_settings_before(again, tiny_file, monkeypatch):
+    """The next one starts from those that made the results."""
+    folder, _ = again
+    before = (folder / "config.json").read_bytes()
+
+    def fail(judge):
+        raise TrainingError("nothing to be done")
+
+    monkeypatch.setattr(Judge, "scores", fail)
+    assert call("adapt", folder, "--data", tiny_file, "-q", "--adapt.steps", 2) == 1
+    assert (folder / "config.json").read_bytes() == before
 
 
 def test_the_published_protocol_has_no_path_to_rewards(again, tiny_file, other_rewards_file):
