@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -11,6 +12,9 @@ from mpdt.errors import visible
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
+
+
+_WORDS = re.compile(r"[A-Za-z]{2}.* .*[A-Za-z]{2}")
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,12 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...] = ()
     closing: int = 0
+
+    @property
+    def columns_of_words(self) -> set[int]:
+        """Positions of columns that hold words: these wrap, numbers do not."""
+        return {at for at in range(len(self.columns))
+                if any(_WORDS.search(row[at]) for row in self.rows)}  # fmt: skip
 
 
 def markdown_table(

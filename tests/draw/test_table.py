@@ -53,3 +53,8 @@ def test_html_by_hand():
         f"<tr><td {left}>&lt;script&gt;</td><td {right}>1</td></tr></tbody></table>"
         "<p>n &amp; m</p></div>"
     )
+
+
+def test_columns_of_words_wrap_and_columns_of_numbers_do_not() -> None:
+    rows = (("a", "1.0 [0.5, 1.5]", "best of two"), ("b", "2", "-"))
+    assert Table("t", ("name", "mean", "by"), rows).columns_of_words == {2}

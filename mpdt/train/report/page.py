@@ -9,13 +9,12 @@ policies earn stands beside every method, in grey.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mpdt.draw.chart import Chart, Dot, axis_over, row_chart
+from mpdt.draw.chart import Chart
 from mpdt.draw.html import picture, render, write_page
 from mpdt.draw.table import Table
 from mpdt.errors import MpdtError
@@ -30,13 +29,12 @@ from mpdt.train.report.charts import (
     colours,
     legend,
     loss_curves,
-    short_names,
 )
+from mpdt.train.report.pictures import curves_sheet, each_task_sheet, tasks_sheet
 from mpdt.train.report.study_tables import report_tables
 from mpdt.train.run.results import scores_in
 from mpdt.train.study.cells import CellResult
 from mpdt.train.study.maps import map_pixels, prompt_maps
-from mpdt.train.study.summary import summarise, task_intervals
 from mpdt.version import __version__
 
 
@@ -47,6 +45,7 @@ class Part:
     Args:
         legend: (key, method) of everything drawn.
         tasks: one chart per task, folded away where there are many.
+        is_wide: its charts are as wide as the page, one below the other.
     """
 
     title: str
@@ -54,6 +53,7 @@ class Part:
     legend: Sequence[tuple[str, str]] = ()
     means: Sequence[Chart] = ()
     tasks: Sequence[Chart] = ()
+    is_wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -200,35 +200,16 @@ def study_content(cells: Sequence[CellResult], name: str, studies: Sequence[str]
             if chosen:
                 parts.append(_study_part(own, block, chosen))  # type: ignore[arg-type]
         for phase, words in (("student", "Learning"), ("adapt", "Adaptation")):
-            lines = [
-                (" ".join([cell.label, f"s{cell.seed}", *phase_name.split()[1:]]), points)
-                for cell in own for phase_name, points in cell.content.get("curve", {}).items()
-                if phase_name.startswith(phase) and points
-            ]  # fmt: skip
-            if lines:
-                told = "Action loss" if phase == "student" else "Alignment loss"
-                curves.append(loss_curves(f"{words}, {data}", f"{told} over updates.", lines))
-    facts = [("cells", str(len(cells))), ("seeds", str(len({cell.seed for cell in cells})))]
+            sheet = curves_sheet("", own, phase)
+            told = "Action loss" if phase == "student" else "Alignment loss"
+            told += " over updates: a thin line for each seed, their mean in colour."
+            curves += [Curves(f"{words}, {data}", told, sheet.charts)] * bool(sheet.charts)
+    facts = [("cells", str(len(cells))), ("seeds", f"up to {len({cell.seed for cell in cells})}")]
     return Content(title=name, facts=facts, parts=parts, curves=curves)
 
 
 def _study_part(cells: Sequence[CellResult], block: Block, tables: Sequence[Table]) -> Part:
-    rows = summarise(cells, block)
-    keys = colours(row.method for row in rows)
-    names = short_names(keys)
-    means = [
-        (names[row.method], [Dot(keys[row.method], row.mean, *row.interval, told=row.method)])
-        for row in rows if math.isfinite(row.mean)
-    ]  # fmt: skip
-    ends = [end for _, (dot,) in means for end in (dot.value, dot.low, dot.high)]
-    axis = axis_over([0.0, *filter(math.isfinite, ends)], "mean return")
-    drawn = [row_chart("mean return", means, axis, bars=True)] if means else []
-    charts = []
-    for task, methods in task_intervals(cells, block).items():
-        scores = [
-            Score(block=block, task=task, method=method, mean=middle, low=low, high=high,
-                  normalised=math.nan)
-            for method, (middle, low, high) in methods.items()
-        ]  # fmt: skip
-        charts += bars(task, scores, keys)
-    return Part(tables[0].title, tables, legend(keys), drawn, charts)
+    """As the pictures of a study: coloured by what was read, names written out."""
+    data = cells[0].data
+    means, tasks = tasks_sheet(data, cells, block), each_task_sheet(data, cells, block)
+    return Part(tables[0].title, tables, means.legend, means.charts, tasks.charts, is_wide=True)

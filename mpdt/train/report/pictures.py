@@ -21,6 +21,7 @@ import numpy as np
 from mpdt.disk import disk
 from mpdt.draw.chart import Axis, Chart, Dot, Mark, axis_over, line, row_chart
 from mpdt.draw.sheet import Sheet, write_sheet
+from mpdt.train.evaluate.score import REFERENCES, Block
 from mpdt.train.report.charts import REFERENCE, Points
 from mpdt.train.study.cells import CellResult
 from mpdt.train.study.maps import KEPT, map_pixels, prompt_maps
@@ -34,6 +35,8 @@ COLOURS = {
     "demonstration": "c4", "trials": "c5", "X+rewards, trials": "c7",
 }  # fmt: skip
 """CSS key of what was read; references are grey."""
+OWN = "c8"
+"""Of training tasks nothing has to be read."""
 
 
 def draw_study(cells: Sequence[CellResult], folder: Path) -> list[Path]:
@@ -85,20 +88,23 @@ def _write(target: Path, sheet: Sheet) -> Path:
     return target
 
 
-def _tasks(data: str, cells: Sequence[CellResult]) -> Sheet:
-    rows = [row for row in summarise(cells, "test") if math.isfinite(row.mean)]
+def tasks_sheet(data: str, cells: Sequence[CellResult], block: Block = "test") -> Sheet:
+    """All rows, the largest mean first."""
+    rows = [row for row in summarise(cells, block) if math.isfinite(row.mean)]
     rows.sort(key=lambda row: -row.mean)
     named = [(row.method, _dot(row, row.mean, *row.interval)) for row in rows]
-    axis = _axis([dot for _, dot in named], "mean return on the test tasks, 95 % interval")
+    told = {"test": "test", "train": "training"}[block]
+    axis = _axis([dot for _, dot in named], f"mean return on the {told} tasks, 95 % interval")
     charts = [_bars("", named, axis)] if rows else []
     return Sheet(f"{data}: unseen tasks, by what was read of them", charts, _legend(rows))
 
 
-def _each_task(data: str, cells: Sequence[CellResult]) -> Sheet:
-    rows = best_of_each(summarise(cells, "test"))
+def each_task_sheet(data: str, cells: Sequence[CellResult], block: Block = "test") -> Sheet:
+    """A chart of every task, or one of all of many: the best of each kind of reading."""
+    rows = best_of_each(summarise(cells, block))
     of_task = {
         task: [(row.method, _dot(row, *known[row.method])) for row in rows if row.method in known]
-        for task, known in task_intervals(cells, "test").items()
+        for task, known in task_intervals(cells, block).items()
     }
     title = f"{data}: every unseen task, of each kind of reading the best"
     of_task = {task: named for task, named in of_task.items() if named}
@@ -134,13 +140,18 @@ def _bars(title: str, rows: Sequence[tuple[str, Dot]], axis: Axis) -> Chart:
 
 
 def _dot(row: Row, middle: float, low: float, high: float) -> Dot:
-    return Dot(COLOURS.get(row.reads, REFERENCE), middle, low, high)
+    return Dot(_key(row), middle, low, high)
+
+
+def _key(row: Row) -> str:
+    return REFERENCE if row.method in REFERENCES else COLOURS.get(row.reads, OWN)
 
 
 def _legend(rows: Iterable[Row]) -> list[tuple[str, str]]:
-    reads = {row.reads for row in rows}
-    known = [(key, name) for name, key in COLOURS.items() if name in reads]
-    return known + [(REFERENCE, "references")] * ("-" in reads)
+    told = {_key(row): row.reads for row in rows}
+    known = [(key, name) for name, key in COLOURS.items() if key in told]
+    known += [(OWN, "policies, each task behind its own prompt")] * (OWN in told)
+    return known + [(REFERENCE, "references")] * (REFERENCE in told)
 
 
 def _trials(data: str, cells: Sequence[CellResult]) -> Sheet:
@@ -189,14 +200,14 @@ def _over_count(
 
 
 def _training(data: str, cells: Sequence[CellResult]) -> Sheet:
-    return _curves(f"{data}: action loss over updates", cells, "student")
+    return curves_sheet(f"{data}: action loss over updates", cells, "student")
 
 
 def _adaptation(data: str, cells: Sequence[CellResult]) -> Sheet:
-    return _curves(f"{data}: alignment loss over updates", cells, "adapt")
+    return curves_sheet(f"{data}: alignment loss over updates", cells, "adapt")
 
 
-def _curves(title: str, cells: Sequence[CellResult], phase: str) -> Sheet:
+def curves_sheet(title: str, cells: Sequence[CellResult], phase: str) -> Sheet:
     """One chart per label, all with the same axis of losses."""
     found: dict[str, list[Points]] = {}
     for cell in cells:
@@ -222,6 +233,6 @@ def _curve(label: str, seeds: Sequence[Points], y: Axis) -> Chart:
 
 
 _PICTURES: dict[str, Callable[[str, Sequence[CellResult]], Sheet]] = {
-    "tasks": _tasks, "each-task": _each_task, "trials": _trials, "training": _training,
+    "tasks": tasks_sheet, "each-task": each_task_sheet, "trials": _trials, "training": _training,
     "adaptation": _adaptation,
 }  # fmt: skip

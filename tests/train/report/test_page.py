@@ -11,7 +11,6 @@ import torch
 from mpdt.model.weights import WeightsHeader, save_weights
 from mpdt.train.cli import main
 from mpdt.train.evaluate.score import EXPERT, MEAN, RANDOM, ZERO, Score, encode_results
-from mpdt.train.report import page
 from mpdt.train.report.charts import REFERENCE, adaptation_chart, colours, legend, short_names
 from mpdt.train.report.page import run_content, study_content, write_result
 from mpdt.train.study.cells import CellResult
@@ -163,22 +162,22 @@ def test_a_study_has_a_part_for_each_data_set_and_block(tmp_path):
     (part,) = content.parts
     assert part.title == "d: test tasks" and part.means[0].row_names == (ZERO, "m", "n")
     assert [group.title for group in content.curves] == ["Learning, d", "Adaptation, d"]
-    assert [text for _, text in content.curves[1].legend] == [
-        "m s0 cross", "m s1 cross", "n s0 cross", "n s1 cross",
-    ]  # fmt: skip
+    assert [drawn.title for drawn in content.curves[1].charts] == ["m cross", "n cross"]
+    assert len(content.curves[1].charts[0].marks) == 3, "a line for each seed, and their mean"
+    assert part.is_wide and part.legend[-1] == (REFERENCE, "references")
     write_result(tmp_path / "page.html", content)
 
 
-def test_bars_of_a_task_are_of_all_seeds(monkeypatch):
+def test_bars_of_a_task_are_of_all_seeds():
     """Seeds earn 1 and 3 in task a."""
-    drawn = {}
-    monkeypatch.setattr(page, "bars", lambda task, rows, keys: drawn.update({task: rows}) or [])
     cells = [
         CellResult("d", "m", seed, tuple(score("m", task, mean) for task in ("a", MEAN)), {})
         for seed, mean in ((0, 1.0), (1, 3.0))
     ]
-    study_content(cells, "first")
-    assert list(drawn) == ["a"] and [row.mean for row in drawn["a"]] == [2.0]
+    (part,) = study_content(cells, "first").parts
+    (drawn,) = part.tasks
+    (bar,) = [mark for mark in drawn.marks if mark.kind == "bar"]
+    assert drawn.title == "a" and bar.points[1, 0] == 2.0
 
 
 def test_names_out_of_files_stay_words(tmp_path):
