@@ -210,7 +210,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 def unknown_name(kind: str, name: str, known: Iterable[str], where: str = "") -> UsageError:
     """`UsageError` for a name that is not one of `known`, with the nearest and all of them."""
-    known = sorted(known)
+    known, name = sorted(known), str(name)
     what = " ".join(part for part in (f"unknown {kind} '{name}'", nearest(name, known)) if part)
     return UsageError(what, where=where, hint=f"known: {', '.join(known)}")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from operator import index
 from pathlib import Path
 from typing import SupportsIndex
 
@@ -17,6 +18,7 @@ from mpdt.data.spec.catalog import load_catalog
 from mpdt.data.spec.entry import DatasetSpec
 from mpdt.data.spec.smoke import smoke as smoke_version
 from mpdt.data.store.dataset import Dataset
+from mpdt.errors import UsageError
 
 _SETTINGS = SamplerSettings()
 
@@ -73,13 +75,17 @@ def collect(
     return done.dataset
 
 
+_MOST = 100_000
+"""Windows of a task in a batch, and their steps."""
+
+
 def windows(
     data: Dataset | Path | str | Sequence[Path | str],
     *,
     window: int = _SETTINGS.window,
     per_task: int = _SETTINGS.per_task,
     seed: int = 0,
-    tasks: Sequence[str | SupportsIndex] = (),
+    tasks: str | Sequence[str | SupportsIndex] = (),
     quality: str | Sequence[str] | None = None,
 ) -> WindowSampler:
     """Batches of windows as a function of (seed, step): `windows(...).batch(step)`.
@@ -90,11 +96,24 @@ def windows(
         per_task: M of them.
         tasks: names or rows; none = the training tasks.
         quality: random, medium, expert, history, policy, or several; None = all.
-    Raises: UsageError for unknown names; DataError if a task has no such episode; as `open`.
+    Raises: UsageError for unknown names, a task that is named twice and numbers out of range;
+        TypeError for what is no whole number; DataError if a task has no such episode; as `open`.
     """
-    name: str | None = None
+    window, per_task, seed = index(window), index(per_task), index(seed)
+    for name, number, least, most in (
+        ("window", window, 1, _MOST), ("per_task", per_task, 1, _MOST),
+        ("seed", seed, 0, 2**63 - 1),
+    ):  # fmt: skip
+        if not least <= number <= most:
+            raise UsageError("out of range", where=f"windows({name}=)", found=str(number),
+                             expected=f"{least} to {most:,}")  # fmt: skip
+    part: str | None = None
     if not isinstance(data, Dataset):
-        data, name = open_ref(data)
-    rows = [data.task_row(task) for task in tasks] or data.tasks.train_rows
-    ids = {row: data.select(task=row, quality=quality, slice=name) for row in rows}
+        data, part = open_ref(data)
+    named = [tasks] if isinstance(tasks, str) else tasks
+    rows = [data.task_row(task) for task in named] or data.tasks.train_rows
+    if len(set(rows)) < len(rows):
+        raise UsageError("a task is named twice", where="windows(tasks=)",
+                         found=", ".join(data.tasks.names[row] for row in rows))  # fmt: skip
+    ids = {row: data.select(task=row, quality=quality, slice=part) for row in rows}
     return WindowSampler(data, ids, rows, window, per_task, seed)

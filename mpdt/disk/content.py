@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import resource
 import shutil
 from pathlib import Path
 from typing import BinaryIO
@@ -34,13 +35,27 @@ def sync_tree(folder: Path) -> None:
             sync(path)
 
 
-def reserve(path: Path, num_bytes: int) -> None:
+def _look_for_room(path: Path, num_bytes: int, later: int) -> None:
+    """HDF5 cannot close a file whose last part the disk refused, and takes the process with it."""
+    free = shutil.disk_usage(path.parent).free + path.stat().st_blocks * 512
+    most, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+    if most != resource.RLIM_INFINITY:
+        free = min(free, most)
+    if free < num_bytes + later:
+        raise OSError(errno.ENOSPC, f"No space left: {num_bytes + later} bytes needed, {free} free")
+
+
+def reserve(path: Path, num_bytes: int, later: int = 0) -> None:
     """Claim the blocks of a file before anything long is written into it.
 
     A full disk is then known at once and as one clean error, not in the middle of a flush.
 
+    Args:
+        later: bytes that will come behind them: looked for, not claimed.
     Raises: OSError where there is no room.
     """
+    if later:
+        _look_for_room(path, num_bytes, later)
     if not hasattr(os, "posix_fallocate"):  # macOS
         free = shutil.disk_usage(path.parent).free
         if free < num_bytes:

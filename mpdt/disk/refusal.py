@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -41,7 +42,13 @@ def disk(target: Path) -> Iterator[None]:
         raise
     except (OSError, RuntimeError) as error:
         what, hint = _explain(error)
-        raise StorageError(what, where=str(target), found=str(error), hint=hint) from error
+        raise StorageError(what, where=str(target), found=_said(error), hint=hint) from error
+
+
+def _said(error: OSError | RuntimeError) -> str:
+    """What the system said; of HDF5's report of addresses and hidden names nothing else."""
+    inner = re.search(r"errno = (\d+), error message = '([^']*)'", str(error))
+    return f"[Errno {inner[1]}] {inner[2]}" if inner else str(error)
 
 
 def _explain(error: OSError | RuntimeError) -> tuple[str, str]:

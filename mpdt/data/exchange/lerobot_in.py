@@ -16,17 +16,15 @@ from pathlib import Path
 from mpdt.data.exchange import foreign
 from mpdt.data.exchange.foreign import Source, quality_code
 from mpdt.data.exchange.incoming import Incoming
+from mpdt.data.exchange.lerobot_rows import ACTION, REWARD, Label
 from mpdt.data.exchange.lerobot_tree import (
-    ACTION,
-    REWARD,
     STATES,
-    Label,
     Tree,
-    Wanted,
     by_task,
     episodes,
     left_out,
     trees,
+    wanted_of,
 )
 from mpdt.data.exchange.treatment import Rules
 from mpdt.data.spec.tasks import Family, Task
@@ -44,7 +42,7 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     rules = replace(foreign.given(rules), any_length=True)
     sources, remarks = [], []
     for tree in trees(paths):
-        wanted = Wanted.of(tree, [_state_column(tree, rules.family)])
+        wanted = wanted_of(tree, [_state_column(tree, rules.family)])
         for path, label in by_task(tree, wanted):
             task, quality = _task(tree, label, rules), quality_code(rules.quality or "unknown")
             sources.append(Source(path, task, quality, partial(episodes, path, wanted, label)))

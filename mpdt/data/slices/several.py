@@ -9,6 +9,7 @@ A path that exists is meant by its whole name, whatever is in it.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from glob import has_magic
 from pathlib import Path
@@ -27,8 +28,10 @@ def open_files(path: Path | str | Sequence[Path | str], preload: bool = False) -
 
     Raises: MissingFileError where a folder or a pattern has no file; as `open_dataset` and `join`.
     """
+    if isinstance(path, bytes):
+        path = os.fsdecode(path)
     words = [path] if isinstance(path, str | Path) else list(path)
-    if not words:
+    if not words or "" in words:  # an empty word would be this folder
         raise UsageError("no file named", expected="at least one")
     files = [file for word in words for file in _files(Path(word))]
     parts = [open_dataset(file, preload) for file in files]

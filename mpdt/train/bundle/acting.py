@@ -190,6 +190,8 @@ class ActingPolicy:
     def _numbers(self, observations: ArrayLike) -> NDArray[np.float32]:
         """A copy as float32. Raises: ShapeError for what is no array of numbers."""
         try:
+            if np.iscomplexobj(observations):
+                raise TypeError("complex numbers")
             return np.array(observations, np.float32)
         except (TypeError, ValueError) as error:
             raise ShapeError("an observation is an array of numbers", where=self.family.name,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from operator import index
+
 from mpdt.errors import UsageError, unknown_name
 from mpdt.train.bundle.acting import ActingPolicy
 from mpdt.train.bundle.build import Bundle
@@ -30,7 +32,8 @@ def _task(config: BundleConfig, task: str | int | None) -> str:
     names = [one.name for one in config.tasks]
     if task is None:
         return config.prompts[0].tasks[0]
-    if isinstance(task, int):
+    if not isinstance(task, str):
+        task = index(task)
         if not 0 <= task < len(names):
             raise UsageError("no such row", where=config.name, expected=f"0 to {len(names) - 1}",
                              found=str(task))  # fmt: skip

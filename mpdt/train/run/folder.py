@@ -217,7 +217,7 @@ def write_config(folder: RunFolder, identity: Identity) -> None:
 
 def _compare(folder: RunFolder, identity: Identity, judges: bool) -> None:
     """Raises: TrainingError naming what differs from the training of the run that is there."""
-    stored, name = _read_config(folder), quoted(folder.path.name)
+    stored = _read_config(folder)
     old, new = stored["training"]["data"], identity.training["data"]
     for key, what in (("family", "another family"), ("content_hash", "other episodes")):
         if old.get(key) != new[key]:
@@ -225,18 +225,18 @@ def _compare(folder: RunFolder, identity: Identity, judges: bool) -> None:
                 f"the run in this folder was trained on {what}", where=str(folder.path),
                 expected=str(old.get(key))[:12], found=new[key][:12],
                 hint="take the file it was trained on"
-                + ("" if judges else f", or keep both with --name {name}-2"),
+                + ("" if judges else f", or keep both with --name {quoted(folder.path.name)}-2"),
             )  # fmt: skip
     changed = changed_keys(stored["training"], identity.training)
     if changed:
         text = "; ".join(changed[:4]) + (f" and {len(changed) - 4} more" if changed[4:] else "")
         what, hint = (
             "another run lives in this folder",
-            f"keep both with --name {name}-2, or begin anew: --restart",
+            f"keep both with --name {quoted(folder.path.name)}-2, or begin anew: --restart",
         )
         if judges:
             what = "this run was trained with other settings"
-            hint = f"mpdt-train --data FILE --name {name}-2 trains another"
+            hint = f"mpdt-train --data FILE --name {quoted(folder.path.name)}-2 trains another"
         raise TrainingError(
             what, where=str(folder.path), hint=hint,
             found=re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1", text),

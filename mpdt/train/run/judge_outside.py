@@ -28,7 +28,7 @@ from mpdt.train.fit.data import ALL, Material
 from mpdt.train.run.bench import Bench
 from mpdt.train.run.keep import Keeper
 from mpdt.train.run.load import local_folder
-from mpdt.train.run.outside import Named, OutsideActor, load_callable
+from mpdt.train.run.outside import Named, OutsideActor, importing_from, load_callable
 from mpdt.train.run.prepare import check_sizes
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.results import VERSIONED
@@ -70,7 +70,8 @@ def judge_outside(
     else:
         named = load_callable(policy)
         name = named.words
-        scores = _judged(bench, _CallableRows(named, bench, progress, keep, reads))
+        with importing_from(Path.cwd()):  # it may import more when it is called
+            scores = _judged(bench, _CallableRows(named, bench, progress, keep, reads))
         told = {"policy": {"name": name, "fingerprint": named.fingerprint.hex()}}
     dataset = material.dataset
     header = {

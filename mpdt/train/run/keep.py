@@ -51,6 +51,7 @@ class Keeper:
     single: bool = False
 
     def __post_init__(self) -> None:
+        self.target = self.target.absolute()  # a policy may go to another folder
         expect_folder(self.target.parent)
 
     def row(

@@ -13,7 +13,8 @@ import hashlib
 import importlib
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,17 @@ class Named:
     fingerprint: bytes
 
 
+@contextmanager
+def importing_from(folder: Path) -> Iterator[None]:
+    """Modules are looked for in `folder` as well, also by what is called meanwhile."""
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        with suppress(ValueError):  # what was imported may have changed the list
+            sys.path.remove(str(folder))
+
+
 def load_callable(words: str) -> Named:
     """Import `module:function`; the working folder counts as well.
 
@@ -60,10 +72,9 @@ def load_callable(words: str) -> Named:
     if not (colon and module_name and path):
         raise UsageError(f"cannot read '{words}'", where="--policy",
                          expected="module:function, or a bundle's folder")  # fmt: skip
-    here = str(Path.cwd())
-    sys.path.insert(0, here)
     try:
-        module = importlib.import_module(module_name)
+        with importing_from(Path.cwd()), redirect_stdout(sys.stderr):
+            module = importlib.import_module(module_name)
     except KeyboardInterrupt:
         raise
     except BaseException as error:
@@ -71,8 +82,6 @@ def load_callable(words: str) -> Named:
         raise UsageError(what, where=module_name,
                          hint="-v shows where; modules are looked for here and in what is "
                          "installed") from error  # fmt: skip
-    finally:
-        sys.path.remove(here)
     found: Any = module
     for name in path.split("."):
         if not hasattr(found, name):
@@ -103,9 +112,10 @@ class OutsideActor:
         where = f"{self._named.words}, task {self._task}, step {step}"
         paid = np.zeros(B, np.float32) if rewards is None else rewards.astype(np.float32)
         try:
-            answer = self._named.act(
-                observations.astype(np.float32), paid, np.full(B, rewards is None), self._task
-            )
+            with redirect_stdout(sys.stderr):  # ours has the results
+                answer = self._named.act(
+                    observations.astype(np.float32), paid, np.full(B, rewards is None), self._task
+                )
             actions = np.asarray(answer)
         except KeyboardInterrupt:
             raise

@@ -128,6 +128,7 @@ def test_an_odd_environment_is_named_with_task_and_step(
         ("own_families:absent", "making it: the environment raised; found AttributeError"),
         ("absent:make", "making it: the environment raised; found ModuleNotFoundError"),
         (lambda task: Odd("", observation_space=BOX(-1, 1, (3,))), "another observation space"),
+        (lambda task: gymnasium.Env(), "another observation space than the family's; expected a"),
         (lambda task: Odd("", observation_space=gymnasium.spaces.Discrete(3)), "another obs"),
         (lambda task: Odd("", action_space=gymnasium.spaces.Discrete(3)), "another action space"),
         (lambda task: Odd("", action_space=BOX(-1, 1, (2,))), r"a Box of shape \(1,\)"),

@@ -174,6 +174,23 @@ def test_lists_patterns_and_folders(parts: list[Path], monkeypatch: pytest.Monke
         mpdt.open("parts/a.h5,parts/c.h5")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [({"window": 0}, "window="), ({"per_task": 10**12}, "per_task="), ({"seed": -1}, "seed="),
+     ({"tasks": ("forward", "forward")}, "named twice")],
+)  # fmt: skip
+def test_windows_of_no_sense_are_refused_at_the_call(
+    parts: list[Path], arguments: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(UsageError, match=said):
+        mpdt.windows(parts[0], **arguments)
+    with pytest.raises(TypeError):
+        mpdt.windows(parts[0], window=2.5)  # type: ignore[arg-type]
+    assert len(mpdt.windows(parts[0], tasks="forward").tasks) == 1
+    with pytest.raises(UsageError, match="no file named"):
+        mpdt.open("")
+
+
 def test_none_of_the_files_is_left_out(parts: list[Path], tmp_path: Path) -> None:
     """A folder with something that is no file is not the folder without it."""
     folder = shutil.copytree(parts[0].parent, tmp_path / "d")

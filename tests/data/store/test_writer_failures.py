@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import resource
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from mpdt.data.store import writer
 from mpdt.data.store.columns import StepTable
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.writer import EpisodeSource, check_digests, write_file
+from mpdt.disk import content, disk
 from mpdt.errors import FormatError, StorageError
 
 
@@ -45,7 +47,7 @@ def test_a_full_disk_is_one_clean_error(made, kit):
 
 
 def test_a_full_disk_is_known_before_the_first_episode(tmp_path, kit, monkeypatch):
-    def refuse(path, num_bytes):
+    def refuse(path, num_bytes, later):
         raise OSError(errno.ENOSPC, f"No space left for {num_bytes} bytes")
 
     def episodes():
@@ -55,6 +57,23 @@ def test_a_full_disk_is_known_before_the_first_episode(tmp_path, kit, monkeypatc
     monkeypatch.setattr(writer, "reserve", refuse)
     with pytest.raises(StorageError, match="the disk is full"):
         write_file(tmp_path / "a.h5", kit.header, EpisodeSource(episodes(), 4, 7))
+
+
+def test_room_for_the_tables_is_looked_for_as_well(made, kit, monkeypatch):
+    """HDF5 cannot close a file whose last part the disk refuses: it would end the process."""
+    usage = shutil.disk_usage(made.path)
+    monkeypatch.setattr(content.shutil, "disk_usage", lambda path: usage._replace(free=50_000))
+    with pytest.raises(StorageError, match="the disk is full"):
+        write_file(made.path, kit.header, kit.source((kit.episode(5),)))
+
+
+def test_of_hdf5_only_the_reason_is_told(tmp_path):
+    said = ("Can't write data (file write failed: time = Mon Nov 30, filename = '/x/.y.tmp', "
+            "file descriptor = 4, errno = 28, error message = 'No space left on device', "
+            "buf = 0x7f)")  # fmt: skip
+    with pytest.raises(StorageError, match="the disk is full") as caught, disk(tmp_path):
+        raise RuntimeError(said)
+    assert caught.value.found == "[Errno 28] No space left on device"
 
 
 def test_what_was_written_is_read_back(made, kit, monkeypatch):

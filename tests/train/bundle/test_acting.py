@@ -152,8 +152,9 @@ def test_a_vector_environment(bundle, policy):
 def test_mistakes(policy):
     with pytest.raises(ShapeError, match="observations of this family"):
         policy.act(np.zeros(19))
-    with pytest.raises(ShapeError, match="an array of numbers"):
-        policy.act("abc")
+    for no_numbers in ("abc", np.zeros(20, complex)):
+        with pytest.raises(ShapeError, match="an array of numbers"):
+            policy.act(no_numbers)
     with pytest.raises(ShapeError, match="nobody acts"):
         policy.reset(0)
     with pytest.raises(UsageError, match="did you mean 'forward'"):

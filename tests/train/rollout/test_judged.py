@@ -89,6 +89,9 @@ def test_what_is_left_out_of_a_bundle_is_said_to_be(trained):
     config = msgspec.structs.replace(bundle.config, left_out=("trials-alone-3",))
     with pytest.raises(UsageError, match="'trials-alone-3' is left out"):
         policy_of_bundle(replace(bundle, config=config), "forward", "trials-alone-3")
+    assert policy_of_bundle(bundle, np.int64(1)).task == policy_of_bundle(bundle, 1).task
+    with pytest.raises(UsageError, match="unknown start '3'"):
+        policy_of_bundle(bundle, 0, 3)
 
 
 def test_own_episodes_are_counted_in_the_name_of_a_row():

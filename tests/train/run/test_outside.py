@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -44,6 +45,16 @@ class Own:
 
 own = Own()
 number = 3
+
+def late(observations, *_):
+    from beside import SIZE
+    print("imported")
+    return np.zeros((len(observations), SIZE))
+
+def wanders(observations, *_):
+    import os
+    os.chdir("/")
+    return np.zeros((len(observations), 6))
 
 def raises(observations, rewards, starts, task):
     if not starts.all():
@@ -136,6 +147,16 @@ def test_who_judges_says_what_was_read(theirs, tiny_file):
     assert results["versions"]["mpdt"] == mpdt.__version__
     both = rows(judged("theirs:zero", tiny_file, reads="X"), "theirs:zero")
     assert {s.get("reads") for s in both.values()} == {None}, "these are training tasks"
+
+
+def test_a_policy_may_import_print_and_go_elsewhere(theirs, tiny_file, capsys):
+    """What it prints is no part of the results; what is kept lies where it was asked for."""
+    (theirs / "beside.py").write_text("SIZE = 6")
+    judged("theirs:late", tiny_file)
+    out, error = capsys.readouterr()
+    assert out == "" and "imported" in error
+    judged("theirs:wanders", tiny_file, keep=Path("kept.h5"))
+    assert (theirs / "kept.h5").exists()
 
 
 def test_what_a_callable_is_given(theirs, tiny_file):
