@@ -275,19 +275,18 @@ def test_adapting_refuses_other_training_and_what_is_no_run(again, tiny_file, tm
     assert "no trained weights in this run" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("settings", "where"),
-    [(("--adapt.steps", 10**20), "adapt.steps"), (("--adapt.lr", 1e39), "adapt.lr"),
-     (("--evaluation.seed", 10**20), "evaluation.seed"), (("--adapt.windows", 10**9), "windows"),
-     (("--adapt.episodes", 99), "too few episodes"), (("--evaluation.blocks",), "blocks")],
-)  # fmt: skip
-def test_a_refused_judgement_leaves_the_run_as_it_was(again, tiny_file, capsys, settings, where):
+def test_a_refused_judgement_leaves_the_run_as_it_was(again, tiny_file, capsys):
     folder, _ = again
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-    code = call("adapt", folder, "--data", tiny_file, "-q", *settings)
-    error = capsys.readouterr().err
-    assert code in (1, 2) and where in error and "Traceback" not in error
-    assert {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()} == before
+    for where, settings in {
+        "adapt.steps": ("--adapt.steps", 10**20), "adapt.lr": ("--adapt.lr", 1e39),
+        "evaluation.seed": ("--evaluation.seed", 10**20), "windows": ("--adapt.windows", 10**9),
+        "too few episodes": ("--adapt.episodes", 99), "blocks": ("--evaluation.blocks",),
+    }.items():  # fmt: skip
+        code = call("adapt", folder, "--data", tiny_file, "-q", *settings)
+        error = capsys.readouterr().err
+        assert code in (1, 2) and where in error and "Traceback" not in error
+        assert {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()} == before
 
 
 def test_a_judgement_that_fails_later_leaves_the_settings_before(again, tiny_file, monkeypatch):
