@@ -111,7 +111,7 @@ def test_a_tree_that_lost_something_is_no_tree(
         (range(count - 5), "number of rows in its metadata"),
         ([], "number of episodes in its metadata; expected 4, found 0"),
     ):
-        pq.write_table(table.take(list(keep)), path)
+        pq.write_table(table.take(pa.array(list(keep), pa.int64())), path)
         capsys.readouterr()
         assert run("import", "out", *ML10, "-o", "x.h5") == 1
         assert said in capsys.readouterr().err and not Path("x.h5").exists()
