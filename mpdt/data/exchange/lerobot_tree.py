@@ -28,7 +28,6 @@ from mpdt.data.exchange.lerobot_rows import (
     SUCCESS,
     TASK,
     Label,
-    Rows,
     Wanted,
     read_rows,
     telling,
@@ -128,16 +127,28 @@ def _texts_v2(folder: Path) -> dict[int, str]:
 
 
 def by_task(tree: Tree, wanted: Wanted) -> Iterator[tuple[Path, Label]]:
-    """Every file of a tree with each of its tasks' labels, ascending."""
+    """Every file of a tree with each of its tasks' labels, ascending.
+
+    Raises: FormatError at the end unless the files hold what info.json counts, copies once.
+    """
+    lengths: dict[int, int] = {}
     for path in tree.files:
-        for label in sorted(set(read_rows(path, wanted).labels)):
+        rows = read_rows(path, wanted)
+        lengths |= {number: end - first for number, (first, end)
+                    in zip(rows.numbers, rows.bounds, strict=True)}  # fmt: skip
+        for label in sorted(set(rows.labels)):
             yield path, label
+    found = (len(lengths), sum(lengths.values()))
+    for what, asked, there in zip(("episodes", "rows"), tree.announced, found, strict=True):
+        if asked is not None and asked != there:
+            raise FormatError(f"not the number of {what} in its metadata", where=str(tree.folder),
+                              expected=str(asked), found=str(there),
+                              hint="take another copy of the tree")  # fmt: skip
 
 
 def left_out(tree: Tree, wanted: Wanted) -> list[str]:
     """What a user should know of what is not taken from a tree."""
     rows = [read_rows(path, wanted) for path in tree.files]
-    check_whole(tree, rows)
     count, late = sum(len(one.bounds) for one in rows), sum(one.only_last_success() for one in rows)
     told = (f"{tree.folder}: left out the last step of each of {count} episodes: the "
             "format has no observation after it")  # fmt: skip
@@ -174,15 +185,3 @@ def episodes(path: Path, wanted: Wanted, label: Label) -> Iterator[RawEpisode]:
 def _matrix(column: NDArray[Any]) -> NDArray[Any]:
     """(N, D); vectors of one number are stored as numbers."""
     return column[:, np.newaxis] if column.ndim == 1 else column
-
-
-def check_whole(tree: Tree, rows: Sequence[Rows]) -> None:
-    """Raises: FormatError unless the data files hold what info.json counts, copies once."""
-    lengths = {number: end - first for one in rows
-               for number, (first, end) in zip(one.numbers, one.bounds, strict=True)}  # fmt: skip
-    found = (len(lengths), sum(lengths.values()))
-    for what, asked, there in zip(("episodes", "rows"), tree.announced, found, strict=True):
-        if asked is not None and asked != there:
-            raise FormatError(f"not the number of {what} in its metadata", where=str(tree.folder),
-                              expected=str(asked), found=str(there),
-                              hint="take another copy of the tree")  # fmt: skip

@@ -39,7 +39,8 @@ __all__ = ["Additions", "EpisodeSource", "FileHeader", "Slice", "Stats", "TaskRo
 
 _CHANGED = "the disk or a program changed them while they were written; try again"
 _TABLES, _PER_EPISODE = 1 << 20, 512
-"""Bytes that tables, slices and the seal take at most, with what HDF5 adds."""
+"""Bytes looked for beside the steps, for tables, slices, seal and what HDF5 adds: shipped families
+take 135 to 222 an episode, the smallest file 86 kB in all (2026-11-30)."""
 ALIGNED = {"alignment_threshold": 1, "alignment_interval": layout.ALIGNMENT_BYTES}
 """Without it HDF5 packs a float array right behind an odd number of bool bytes."""
 
@@ -110,7 +111,7 @@ def _fill(
         main = steps("steps", source)
         sets = {name: steps(f"tta/{layout.checked_name(name)}", tta[name]) for name in tta}
         file.flush()
-        episodes = source.num_episodes + sum(one.num_episodes for one in (tta or {}).values())
+        episodes = source.num_episodes + sum(one.num_episodes for one in tta.values())
         reserve(temporary, temporary.stat().st_size, _TABLES + _PER_EPISODE * episodes)
     goals = columns.GoalTable()
     digests = _append_episodes(file, main, header, source, tasks, goals, target)

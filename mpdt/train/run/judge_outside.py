@@ -144,12 +144,13 @@ class _CallableRows:
 
     def of(self, block: Block, rows: Sequence[int]) -> Iterator[list[Score]]:
         bench, named, material = self.bench, self.named, self.bench.material
+        reads = self.reads if block == "test" else None
         row = self.keeper and self.keeper.row(
             bench,
             "policy" if material.one_table else block,
             named.words,
             named.fingerprint,
-            self.reads if block == "test" else None,
+            reads,
         )
         found = [
             bench.run(block, f"{block}: {named.words}", [one],
@@ -159,7 +160,6 @@ class _CallableRows:
         ]  # fmt: skip
         if row:
             row.write(rows)
-        reads = self.reads if block == "test" else None
         yield bench.scores_of(block, named.words, rows, _joined(found), reads)
 
 

@@ -25,8 +25,8 @@ _MOST_AT_ONCE: Mapping[str, int] = {
     "adapt.trials.world.batch": 1_000_000, "adapt.trials.planner.samples": 1_000_000,
     "adapt.trials.planner.horizon": 100_000, "adapt.trials.planner.echoes": 10_000,
 }  # fmt: skip
-"""What is held in memory at once: far more than anybody asks for, less than ends a machine that
-could hold what is asked for."""
+"""What is held in memory at once, far beyond what anybody asks for: it stops slips of the keyboard
+before the system does. What is below may still be more than a machine has."""
 
 
 @dataclass(frozen=True)
