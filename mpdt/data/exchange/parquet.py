@@ -31,9 +31,9 @@ from mpdt.data.exchange.folder import files_below, left_out
 from mpdt.data.exchange.foreign import quality_name
 from mpdt.data.exchange.incoming import Incoming
 from mpdt.data.exchange.manifest import AGAIN, KEY, Manifest, single_file
+from mpdt.data.exchange.parquet_copies import check_copy, copies_in, policies_table, tasks_table
 from mpdt.data.exchange.selection import Selection
 from mpdt.data.exchange.treatment import Rules
-from mpdt.data.reference import REFERENCE_POLICIES
 from mpdt.data.store.layout import EPISODES, GOALS, STEPS
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.errors import FormatError, MissingFileError, MpdtError, ShapeError
@@ -67,9 +67,9 @@ def write(selection: Selection, folder: Path) -> None:
                      folder / "data" / name)  # fmt: skip
     tables = {
         "episodes": _episodes_table(selection, table, manifest),
-        "tasks": _tasks_table(manifest.header),
+        "tasks": tasks_table(manifest.header),
         "goals": pa.table({name: arrow.column(values) for name, values in table.goals.items()}),
-        "policies": _policies_table(manifest.header),
+        "policies": policies_table(manifest.header),
     }
     for name, content in tables.items():
         pq.write_table(content, folder / f"{name}.parquet", compression=_COMPRESSION)
@@ -127,32 +127,6 @@ def _episodes_table(selection: Selection, table: EpisodeTable, manifest: Manifes
     return pa.table(columns).replace_schema_metadata({KEY: manifest.to_json()})
 
 
-def _tasks_table(header: FileHeader) -> Any:
-    columns: dict[str, list[Any]] = {
-        "name": [task.name for task in header.tasks],
-        "index": [task.index for task in header.tasks],
-        "role": [task.role for task in header.tasks],
-        "env": [json.dumps(task.env, sort_keys=True) for task in header.tasks],
-    }
-    for policy in REFERENCE_POLICIES:
-        references = [task.references[policy] for task in header.tasks]
-        columns[f"ref_{policy}"] = [reference.mean for reference in references]
-        columns[f"ref_{policy}_error"] = [reference.error for reference in references]
-        columns[f"ref_{policy}_episodes"] = [reference.episodes for reference in references]
-    return pa.table(columns)
-
-
-def _policies_table(header: FileHeader) -> Any:
-    rows = {task.index: row for row, task in enumerate(header.tasks)}
-    columns: dict[str, list[Any]] = {
-        "hash": [policy.hash for policy in header.policies],
-        "task": [rows[policy.task] for policy in header.policies],
-    }
-    for name in ("rung", "level", "train_step", "mix_rate", "name"):
-        columns[name] = [getattr(policy, name) for policy in header.policies]
-    return pa.table(columns)
-
-
 # ---- in ----
 
 
@@ -174,6 +148,9 @@ def read(paths: Sequence[Path], rules: Rules | None, name: str) -> Incoming:
     with _told(folder / "goals.parquet"):
         goals = _table(folder / "goals.parquet", [column.path for column in GOALS])
         table = EpisodeTable(columns, _columns(goals, GOALS))
+    for path_of_copy in copies_in(folder):
+        with _told(path_of_copy):
+            check_copy(path_of_copy, manifest.header)
     table.check(manifest, str(folder))
     if final.shape != (manifest.num_episodes, manifest.header.observation_size):
         raise FormatError("column final_observation is wrong", where=str(path), hint=AGAIN)

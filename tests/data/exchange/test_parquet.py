@@ -138,6 +138,17 @@ def column_set(name: str, value: Any) -> Callable[[Any], Any]:
     return change
 
 
+def test_tables_that_repeat_the_manifest_may_be_away(
+    reach: Path, export: Make, imported: Make
+) -> None:
+    folder = export(reach)
+    (folder / "tasks.parquet").unlink()
+    rewrite(
+        folder / "policies.parquet", lambda table: table.append_column("mine", [["a"] * len(table)])
+    )
+    assert imported("out", "--from", "parquet").content_hash == open_dataset(reach).content_hash
+
+
 def first_null(column: Any) -> Any:
     values = column.to_pylist()
     return pa.array([None, *values[1:]], column.type)
@@ -167,6 +178,9 @@ def first_null(column: Any) -> Any:
         ("episodes", column_set("quality", lambda c: pa.array(np.ones(32))), "quality is double"),
         ("episodes", lambda table: table.drop_columns("final_observation"), "final_observation"),
         ("goals", lambda table: table.drop_columns("dim"), "column dim is missing"),
+        ("tasks", column_set("role", lambda c: pa.array(["test"] * 2)), "tasks.parquet: role"),
+        ("tasks", lambda table: table.slice(1), "tasks.parquet: name"),
+        ("policies", column_set("hash", lambda c: pa.array(c.to_pylist()[::-1])), "parquet: hash"),
     ],
 )
 def test_changes_are_found(
@@ -184,7 +198,8 @@ def test_bytes_that_are_no_parquet(
     collected: Path, export: Make, run: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = export(collected)
-    for name in ("data/random/train-00000-of-00001.parquet", "episodes.parquet"):
+    steps = "data/random/train-00000-of-00001.parquet"
+    for name in (steps, "policies.parquet", "tasks.parquet", "episodes.parquet"):
         path = folder / name
         path.write_bytes(path.read_bytes()[:-20])
         assert run("import", "out", "--from", "parquet", "-o", "x.h5") == 1
