@@ -46,11 +46,14 @@ class MpdtError(Exception):
     ) -> None:
         self.what, self.where, self.expected, self.found = what, where, expected, found
         self.hint = hint
-        super().__init__(self.message())
+        super().__init__(self._text(_shown(what)))
 
     def message(self) -> str:
         """One line: `where: what; expected E, found F`, with nothing a terminal would obey."""
-        what = _shown(self.what)
+        heading, *lines = map(str.strip, _shown(self.what).splitlines() or [""])
+        return self._text(f"{heading}: {'; '.join(lines)}" if lines else heading)
+
+    def _text(self, what: str) -> str:
         line = f"{_shown(self.where)}: {what}" if self.where else what
         sides = [f"expected {_shown(self.expected)}"] if self.expected else []
         sides += [f"found {_shown(self.found)}"] if self.found else []
@@ -58,7 +61,7 @@ class MpdtError(Exception):
 
     def render(self) -> str:
         """The text the command lines print on stderr, without colour."""
-        text = f"error: {self.message()}"
+        text = f"error: {self._text(_shown(self.what))}"
         return f"{text}\nhint:  {_shown(self.hint)}" if self.hint else text
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -86,7 +89,7 @@ class MissingFileError(MpdtError, FileNotFoundError):
 
     # OSError.__new__ and __str__ read positional arguments in their own way.
     def __str__(self) -> str:
-        return self.message()
+        return str(self.args[0])
 
 
 class DataError(MpdtError, ValueError):
@@ -103,12 +106,12 @@ class ShapeError(DataError):
 
 class StorageError(MpdtError, OSError):
     def __str__(self) -> str:
-        return self.message()
+        return str(self.args[0])
 
 
 class RemoteError(MpdtError, ConnectionError):
     def __str__(self) -> str:
-        return self.message()
+        return str(self.args[0])
 
 
 class SimulatorError(MpdtError, RuntimeError):

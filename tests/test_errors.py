@@ -11,6 +11,7 @@ from mpdt.errors import (
     BusyError,
     DataError,
     FormatError,
+    Lines,
     MissingFileError,
     MpdtError,
     ShapeError,
@@ -52,6 +53,12 @@ def test_exit_codes_and_builtins(kind: type[MpdtError], code: int, builtin: type
     assert str(error) == "where: what"
     copy = pickle.loads(pickle.dumps(error))  # errors come back from worker processes
     assert type(copy) is kind and copy.render() == error.render()
+
+
+def test_several_lines_are_one_where_only_a_line_is_shown() -> None:
+    error = DataError(Lines.of("2 mistakes", "a", "b"), where="x.yaml")
+    assert str(error) == "x.yaml: 2 mistakes\n  a\n  b" and str(error) in error.render()
+    assert error.message() == "x.yaml: 2 mistakes: a; b"
 
 
 def test_unknown_name_offers_the_nearest() -> None:

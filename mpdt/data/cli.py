@@ -39,6 +39,7 @@ from mpdt.data.workers.processes import pin_kernel
 from mpdt.errors import MpdtError, UsageError, told, unknown_name, visible
 from mpdt.interruption import Interrupted, interruptible
 from mpdt.pipe import reader_may_leave
+from mpdt.reading import refuse_folder_names
 
 VERBS: dict[str, type[Options]] = {
     "list": List,
@@ -121,6 +122,7 @@ def _parse(words: Sequence[str]) -> Options:
         os.environ["NO_COLOR"] = "1"
     # Only the verb that was typed: building the parsers of all of them takes a while.
     verb = VERBS[words[0]]
+    refuse_folder_names(words[1:], verb)
     parsed: Options = tyro.cli(
         verb,
         args=list(words[1:]),

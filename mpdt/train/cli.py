@@ -39,6 +39,7 @@ import tyro
 from mpdt.data.remote.address import hide
 from mpdt.errors import MpdtError, told
 from mpdt.pipe import reader_may_leave
+from mpdt.reading import refuse_folder_names
 from mpdt.train.acting import bundle, judge, judge_others, roll_out, travel, until_stopped
 from mpdt.train.options import (
     COMMANDS,
@@ -108,6 +109,7 @@ def parse(verb: str, arguments: list[str]) -> tuple[Command, list[str]]:
         from mpdt.errors import unknown_name
 
         raise unknown_name("command", verb, COMMANDS, where=PROG)
+    refuse_folder_names(arguments, COMMANDS[verb])
     is_run = verb == "run"
     command, rest = tyro.cli(
         COMMANDS[verb], prog=PROG if is_run else f"{PROG} {verb.split()[0]}",

@@ -126,7 +126,7 @@ class Rollout:
 
     policy: tyro.conf.Positional[str]
     """A bundle's folder or address, or the folder of a run."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
     """Data file to write."""
     tasks: str = "train"
     """train, test, all, or names with commas between them."""

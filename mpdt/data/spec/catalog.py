@@ -148,6 +148,8 @@ def _entry(name: str, entry: object, problems: list[Problem]) -> DatasetSpec | N
         spec = DatasetSpec(**((_STAND_INS if found else {}) | fields))
     except SpecMistakesError as error:
         found += error.problems
+    if f"families.{fields.get('family')}" in (key for key, _, _ in problems):
+        found = [one for one in found if one[0] != "family"]  # told once for all its entries
     problems += [(f"{name}.{key}" if key else name, what, hint) for key, what, hint in found]
     return spec
 

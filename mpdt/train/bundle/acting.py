@@ -189,14 +189,8 @@ class ActingPolicy:
 
     def _numbers(self, observations: ArrayLike) -> NDArray[np.float32]:
         """A copy as float32. Raises: ShapeError for what is no array of numbers."""
-        try:
-            if np.iscomplexobj(observations):
-                raise TypeError("complex numbers")
-            return np.array(observations, np.float32)
-        except (TypeError, ValueError) as error:
-            raise ShapeError("an observation is an array of numbers", where=self.family.name,
-                             expected=f"({self.family.observation_size},)",
-                             found=str(error)) from error  # fmt: skip
+        return _floats(observations, "an observation is an array of numbers", self.family.name,
+                       f"({self.family.observation_size},)")  # fmt: skip
 
     def _shown(self, observations: ArrayLike) -> NDArray[np.float32]:
         """Observations as the data shows them."""
@@ -214,8 +208,21 @@ class ActingPolicy:
         return self.tasks.index(task)
 
 
+def _floats(values: ArrayLike, what: str, where: str, expected: str) -> NDArray[np.float32]:
+    """A copy as float32; numpy would read text as well. Raises: ShapeError."""
+    try:
+        found = np.array(values)
+        if found.dtype.kind not in "biufO":
+            raise TypeError(f"an array of {found.dtype}")
+        return found.astype(np.float32)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(what, where=where, expected=expected, found=str(error)) from error
+
+
 def _step(loop: ClosedLoop, shown: Array, rewards: Any, starts: Any) -> NDArray[np.float32]:
-    paid = None if rewards is None else np.asarray(rewards, np.float32)
+    paid = None
+    if rewards is not None:
+        paid = _floats(rewards, "rewards are an array of numbers", "act", f"({len(shown)},)")
     begins = None if starts is None else np.asarray(starts, np.bool_)
     actions: NDArray[np.float32] = loop.act(shown, paid, begins)
     if not np.isfinite(actions).all():

@@ -126,6 +126,22 @@ def test_an_entry_that_gives_no_family(entry: str, what: str, tmp_path: Path) ->
     assert before == FAMILIES
 
 
+def test_a_broken_family_is_told_once_and_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "wrong.py").write_text(
+        "from own_families import line\nfamily = line(action_size=0, columns=())\n"
+    )
+    entry = """{version: "1.0.0", family: mine, horizon: 5, seed: 1, block: 5, license: CC0-1.0,
+      behaviour: {script: there}, episodes: {random: 5}}"""
+    text = YAML.format("mine: {module: 'wrong:family'}").replace(
+        "{}", f"\n  a: {entry}\n  b: {entry}"
+    )
+    with pytest.raises(SpecError) as error:
+        parse_catalog(text, str(tmp_path / "datasets.yaml"))
+    (shown,) = error.value.render().split("\nhint:")[:1]
+    assert shown.count("\n") == shown.count("\\n") == 0
+    assert re.search("families.mine: mine .*: 2 things .*: columns: .*; action_size:", shown)
+
+
 def test_a_module_beside_the_yaml_is_a_family_wherever_the_command_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -152,9 +152,13 @@ def test_a_vector_environment(bundle, policy):
 def test_mistakes(policy):
     with pytest.raises(ShapeError, match="observations of this family"):
         policy.act(np.zeros(19))
-    for no_numbers in ("abc", np.zeros(20, complex)):
-        with pytest.raises(ShapeError, match="an array of numbers"):
+    for no_numbers in ("abc", np.zeros(20, complex), ["1"] * 20, [[1], [2, 3]]):
+        with pytest.raises(ShapeError, match="an observation is an array of numbers"):
             policy.act(no_numbers)
+    policy.act(np.zeros(20))
+    with pytest.raises(ShapeError, match="rewards are an array of numbers"):
+        policy.act(np.zeros(20), "1.0")
+    policy.reset()
     with pytest.raises(ShapeError, match="nobody acts"):
         policy.reset(0)
     with pytest.raises(UsageError, match="did you mean 'forward'"):
