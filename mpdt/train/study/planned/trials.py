@@ -61,6 +61,9 @@ TRIALS: tuple[Cell, ...] = (
     *(_trials("ml10", "with_x", seed, 0, "-slower", {**_BEFORE, "lr": 3e-4})
       for seed in (0, 1, 2)),
     _trials("ml45", "alone", 0, 0, "-mean-rewards", {**_CHOSEN, "mean": True}),
+    # The first trial is the policy's alone, as nine classes left out of ml45 preferred (0033).
+    *(_trials("ml45", "with_x", seed, 0, "-whole", {**_CHOSEN, "mean": True, "opening": 500})
+      for seed in (0, 1, 2)),
     # The weights of one-block's WP-ones-long: unseen classes know more of it from the start.
     *(_trials("ml10", row, seed, 0, "-long", _CHOSEN, scratch=True)
       for row in ("with_x", "alone") for seed in (0, 1, 2)),
