@@ -11,7 +11,10 @@ import select
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 @contextmanager
@@ -87,6 +90,19 @@ class _Talk(io.TextIOWrapper):
             raise
         except OSError:
             pass
+
+
+def table_console(width: int) -> Console:
+    """rich's on stdout, as wide as the terminal or else `width`; it leaves to us a reader that
+    has enough, which rich answers by ending the process with 1.
+    """
+    from rich.console import Console
+
+    class _Ours(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    return _Ours(file=sys.stdout, width=None if sys.stdout.isatty() else width)
 
 
 def _fill_standard_files() -> None:

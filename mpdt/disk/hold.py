@@ -131,10 +131,13 @@ def holding(
     finally:
         holds.pop(path, None)
         if cover is None and hold.pid == os.getpid():
-            with suppress(OSError):
-                if _is_at(handle, lock):
-                    lock.unlink()
-            os.close(handle)
+            try:
+                _unlink_own(lock, handle)
+            except BaseException:  # a signal, in the middle of it
+                _unlink_own(lock, handle)
+                raise
+            finally:
+                os.close(handle)
 
 
 def written_meanwhile(target: Path, by: Holder | None = None) -> BusyError:
@@ -173,17 +176,24 @@ def _take(
                 raise _busy(lock, target, other, kept) from None
             time.sleep(_POLL_S)
             continue
-        # Before it was locked, it looked like one that was left behind, and may be gone.
-        if _flock(handle, lock) is False or not _is_at(handle, lock):
-            os.close(handle)
-            continue
         try:
-            os.write(handle, me.encoded())
-        except OSError:  # a full disk
-            lock.unlink(missing_ok=True)
+            # Before it was locked, it looked like one that was left behind, and may be gone.
+            is_mine = _flock(handle, lock) is not False and _is_at(handle, lock)
+            if is_mine:
+                os.write(handle, me.encoded())
+        except BaseException:  # a full disk, a signal
+            _unlink_own(lock, handle)
             os.close(handle)
             raise
-        return handle, before
+        if is_mine:
+            return handle, before
+        os.close(handle)
+
+
+def _unlink_own(lock: Path, handle: int) -> None:
+    with suppress(OSError):
+        if _is_at(handle, lock):
+            lock.unlink()
 
 
 def _look_at(lock: Path, target: Path) -> tuple[bool, Holder | None]:
@@ -228,7 +238,7 @@ def _look_at(lock: Path, target: Path) -> tuple[bool, Holder | None]:
 def _remove(lock: Path, handle: int, alone: bool) -> None:
     """Delete the lock file that was left behind, and not a new one that just took its place."""
     if alone:
-        lock.unlink()
+        lock.unlink(missing_ok=True)
         return
     aside = lock.with_name(f"{lock.name}.{Holder.me().token}")
     with suppress(FileNotFoundError):  # another one was quicker

@@ -5,6 +5,7 @@ hold the target -> write beside it -> onto the disk -> is the target what it was
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import shutil
@@ -20,6 +21,8 @@ from mpdt.errors import StorageError
 
 _HEAD_BYTES = 64
 _NO_LINKS = {errno.EPERM, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EMLINK}
+_NO_SUCH_RENAME = {errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EPERM}
+_HERE, _NOREPLACE = -100, 1  # AT_FDCWD and RENAME_NOREPLACE of Linux
 
 
 @contextmanager
@@ -40,10 +43,10 @@ def replacing(target: Path, *, amends: bool = False, like: bytes = b"") -> Itera
     with holding(target, amends=amends) as hold:
         _check_kind(hold.path, target, like)
         temporary = hold.temporary
-        with disk(target):
-            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-            os.close(os.open(temporary, flags, 0o666))
         try:
+            with disk(target):
+                flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+                os.close(os.open(temporary, flags, 0o666))
             yield temporary
             put_file(temporary, target)
         except BaseException:
@@ -62,10 +65,9 @@ def appearing(target: Path) -> Iterator[Path]:
         if hold.found is not None:
             raise written_meanwhile(target)
         temporary = hold.temporary
-        with disk(target):
-            temporary.mkdir()
         try:
             with disk(target):
+                temporary.mkdir()
                 yield temporary
             put_folder(temporary, target)
         except BaseException:
@@ -88,8 +90,10 @@ def check_replaceable(target: Path, like: bytes = b"") -> None:
     """
     with holding(target, amends=True) as hold, disk(target):
         _check_kind(hold.path, target, like)
-        hold.temporary.touch(exist_ok=False)
-        hold.temporary.unlink()
+        try:
+            hold.temporary.touch(exist_ok=False)
+        finally:
+            hold.temporary.unlink(missing_ok=True)
 
 
 def _check_kind(path: Path, target: Path, like: bytes) -> None:
@@ -148,7 +152,16 @@ def put_folder(temporary: Path, target: Path) -> None:
 
 
 def _put_new(temporary: Path, path: Path, target: Path) -> None:
+    """To a name that is free. In one step where the system has it: a kill between the two others
+    would leave both names.
+    """
     try:
+        try:
+            _rename_new(temporary, path)
+            return
+        except OSError as error:
+            if error.errno not in _NO_SUCH_RENAME:
+                raise
         os.link(temporary, path)  # unlike a rename it replaces nothing
     except FileExistsError as error:
         raise written_meanwhile(target) from error
@@ -158,6 +171,16 @@ def _put_new(temporary: Path, path: Path, target: Path) -> None:
         temporary.rename(path)
     else:
         temporary.unlink()
+
+
+def _rename_new(old: Path, new: Path) -> None:
+    """Raises: FileExistsError; OSError, with ENOSYS or EINVAL where there is no such call."""
+    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if call is None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    if call(_HERE, os.fsencode(old), _HERE, os.fsencode(new), _NOREPLACE) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number), str(new))
 
 
 def _keep_owner(temporary: Path, old: os.stat_result) -> None:

@@ -25,6 +25,7 @@ from __future__ import annotations
 import inspect
 import logging
 import os
+import shlex
 import signal
 import sys
 import traceback
@@ -37,7 +38,8 @@ from typing import TYPE_CHECKING
 import tyro
 
 from mpdt.data.remote.address import hide
-from mpdt.errors import MpdtError, told
+from mpdt.errors import BusyError, MpdtError, told, visible
+from mpdt.interruption import Interrupted, interruptible
 from mpdt.pipe import reader_may_leave
 from mpdt.reading import refuse_folder_names
 from mpdt.train.acting import bundle, judge, judge_others, roll_out, travel, until_stopped
@@ -89,7 +91,15 @@ def _answer(verb: str, arguments: list[str]) -> int:
     verbose = bool({"-v", "--verbose"} & set(arguments))
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, format="%(message)s")
     try:
-        return execute(*parse(verb, arguments))
+        command, rest = parse(verb, arguments)
+        if isinstance(command, Report | Submit | Bundle | Push | Pull):  # they write, and are short
+            with interruptible():
+                return execute(command, rest)
+        return execute(command, rest)
+    except Interrupted as stop:
+        again = shlex.join([PROG, verb, *arguments])
+        sys.stderr.write(visible(f"interrupted; go on with: {again}") + "\n")
+        return stop.exit_code
     except (MpdtError, OSError) as error:
         shown = told(error)
         if verbose:
@@ -249,7 +259,8 @@ def _study(command: Study) -> int:
             )
         if command.json:
             print_result(outcomes, "", as_json=True)
-        return 1 if any(one["state"] == "failed" for one in outcomes) else 0
+        states = {one["state"] for one in outcomes}
+        return 1 if "failed" in states else BusyError.exit_code if "busy" in states else 0
 
     return until_stopped(body)
 

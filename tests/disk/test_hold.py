@@ -320,3 +320,22 @@ def test_a_full_disk_leaves_no_lock(tmp_path, monkeypatch):
         pass
     monkeypatch.undo()
     assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["write", "unlink"])
+def test_a_signal_at_the_edge_of_a_hold_leaves_no_lock(tmp_path, monkeypatch, name):
+    calls = []
+
+    def signalled(*args, **options):
+        calls.append(args)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return step(*args, **options)
+
+    place = os if name == "write" else Path
+    step = getattr(place, name)
+    monkeypatch.setattr(place, name, signalled)
+    with pytest.raises(KeyboardInterrupt), holding(tmp_path / "x"):
+        pass
+    monkeypatch.undo()
+    assert list(tmp_path.iterdir()) == []

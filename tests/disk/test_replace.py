@@ -7,7 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from mpdt.disk import appearing, check_replaceable, disk, holding, replacing, write_bytes
+from mpdt.disk import (
+    appearing,
+    check_replaceable,
+    disk,
+    holding,
+    replace,
+    replacing,
+    write_bytes,
+)
 from mpdt.errors import BusyError, DataError, MissingFileError, StorageError
 
 
@@ -156,29 +164,71 @@ def test_what_changed_meanwhile_is_not_replaced(tmp_path, change):
     assert not left or target.read_text() == "other"
 
 
-def test_what_appears_at_the_very_last_moment_is_not_replaced(tmp_path, monkeypatch):
-    target, link = tmp_path / "x", os.link
+def without_the_call(old, new):
+    raise OSError(errno.ENOSYS, "Function not implemented")
+
+
+@pytest.mark.parametrize("is_old", [False, True])
+def test_what_appears_at_the_very_last_moment_is_not_replaced(tmp_path, monkeypatch, is_old):
+    target = tmp_path / "x"
+    place, name = (os, "link") if is_old else (replace, "_rename_new")
+    step = getattr(place, name)
 
     def late(*args):
         target.write_text("other")
-        link(*args)
+        step(*args)
 
-    monkeypatch.setattr(os, "link", late)
+    if is_old:
+        monkeypatch.setattr(replace, "_rename_new", without_the_call)
+    monkeypatch.setattr(place, name, late)
     with pytest.raises(BusyError, match="meanwhile"), replacing(target) as temporary:
         temporary.write_text("ours")
     assert target.read_text() == "other"
     assert [path.name for path in tmp_path.iterdir()] == ["x"]
 
 
-def test_a_file_system_without_hard_links_will_do(tmp_path, monkeypatch):
+@pytest.mark.parametrize("links", [True, False])
+def test_a_system_without_that_call_or_without_hard_links_will_do(tmp_path, monkeypatch, links):
     def refuse(*args):
         raise OSError(errno.EPERM, "Operation not permitted")
 
-    monkeypatch.setattr(os, "link", refuse)
+    monkeypatch.setattr(replace, "_rename_new", without_the_call)
+    if not links:
+        monkeypatch.setattr(os, "link", refuse)
     with replacing(tmp_path / "x") as temporary:
         temporary.write_text("new")
     assert (tmp_path / "x").read_text() == "new"
     assert [path.name for path in tmp_path.iterdir()] == ["x"]
+
+
+def test_a_new_file_gets_its_name_in_one_step(tmp_path, monkeypatch):
+    """Killed between two there would be two names, of which one is nobody's."""
+    monkeypatch.setattr(os, "link", None)
+    with replacing(tmp_path / "x") as temporary:
+        temporary.write_text("new")
+    assert [path.name for path in tmp_path.iterdir()] == ["x"]
+
+
+@pytest.mark.parametrize("end", ["is tried", "begins"])
+def test_a_signal_behind_the_first_moment_leaves_nothing(tmp_path, monkeypatch, end):
+    def signalled(step):
+        def after(*args, **options):
+            step(*args, **options)
+            raise KeyboardInterrupt
+
+        return after
+
+    if end == "is tried":
+        monkeypatch.setattr(Path, "touch", signalled(Path.touch))
+    else:
+        monkeypatch.setattr(replace.os, "close", signalled(os.close))
+    with pytest.raises(KeyboardInterrupt):
+        if end == "is tried":
+            check_replaceable(tmp_path / "x")
+        else:
+            write_bytes(tmp_path / "x", b"new")
+    monkeypatch.undo()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_several_files_in_one_hold_are_no_change_by_others(tmp_path):

@@ -40,6 +40,7 @@ class Added:
 
     dataset: Dataset
     warnings: list[str] = field(default_factory=list)
+    is_new: bool = True
 
 
 def stored_rule(dataset: Dataset, name: str) -> TtaRule:
@@ -97,9 +98,12 @@ def add_set(
     source = tta_source(plan, name, (), plan.num_tta_episodes, 0)
     if "seed" not in dataset.spec:  # an import: nothing else in the file says it
         source = replace(source, rule={**source.rule, "seed": job.spec.seed})
+    folder = PartsFolder(path.with_name(f"{path.name}.tta-{name}"))
     if name in dataset.tta and not overwrite:
         _check_same(dataset, name, plan, source.rule, source.preset_returns)
-    folder = PartsFolder(path.with_name(f"{path.name}.tta-{name}"))
+        if not restart:
+            folder.forget()
+            return Added(dataset, _version_warnings(dataset), is_new=False)
     check_space(plan, folder.target)
     with folder.locked():
         if restart:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import shutil
 from collections import Counter
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from mpdt.data.spec.family import decisive, own_definition
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
 from mpdt.disk import expect_folder
-from mpdt.errors import BusyError, DataError, FormatError, StorageError
+from mpdt.errors import DataError, FormatError, StorageError
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,7 @@ def _collect(
 ) -> Collected:
     plan, folder = job.plan, PartsFolder(target)
     if not restart and (finished := find_finished(job, target)):
-        with suppress(BusyError, StorageError):
-            folder.discard()  # of a collector that was killed just before it would have
+        folder.forget()
         return Collected(finished, is_new=False)
     check_space(plan, target)
     with folder.locked(), folder.kept_if_worth():

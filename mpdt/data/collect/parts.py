@@ -31,7 +31,14 @@ from mpdt.data.spec.change import changed_keys
 from mpdt.data.store.digest import episode_digest
 from mpdt.data.store.tables import Steps
 from mpdt.disk import disk, holding, replacing, write_bytes
-from mpdt.errors import DataError, FormatError, MissingFileError, MpdtError
+from mpdt.errors import (
+    BusyError,
+    DataError,
+    FormatError,
+    MissingFileError,
+    MpdtError,
+    StorageError,
+)
 from mpdt.reading import read_json
 
 _COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
@@ -95,12 +102,9 @@ class PartsFolder:
             (self.path / "blocks").mkdir()
             (self.path / "plan.json").unlink(missing_ok=True)
 
-    def discard(self) -> None:
-        """Delete what a collector left that was killed just before it would have.
-
-        Raises: BusyError if somebody is at work; StorageError.
-        """
-        with holding(self.target, amends=True, wait_s=0):
+    def forget(self) -> None:
+        """Delete what somebody left who was killed between a whole file and that; no error."""
+        with suppress(BusyError, StorageError), holding(self.target, amends=True, wait_s=0):
             if self.path.is_dir():
                 self.delete()
 

@@ -138,6 +138,7 @@ def roll_out_to(
     job, folder = asked.job(), PartsFolder(target)
     check_replaceable(target)
     if not restart and (finished := _finished(asked, target)):
+        folder.forget()
         return RolledOut(finished, False, _reached_in(finished))
     check_space(job.plan, target)
     with folder.locked():

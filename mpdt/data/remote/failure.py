@@ -6,13 +6,19 @@ asyncssh, httpx and pyarrow have errors of their own.
 
 from __future__ import annotations
 
+import errno
+
 from fsspec.registry import known_implementations
 
 from mpdt.data.remote import objects
-from mpdt.errors import MpdtError, RemoteError, UsageError
+from mpdt.errors import MpdtError, RemoteError, StorageError, UsageError
 
 # Of webdav4 and asyncssh, which need not be installed.
 _ABSENT = {"ResourceNotFound", "SFTPNoSuchFile", "SFTPNoSuchPath"}
+_DISK = {
+    errno.ENOSPC: "the disk there is full", errno.EDQUOT: "the disk there is full",
+    errno.EROFS: "the disk there is read-only",
+}  # fmt: skip
 _LOCKED = "a key with a passphrase is used through ssh-agent alone, or FSSPEC_SFTP_PASSPHRASE"
 
 
@@ -72,6 +78,9 @@ def refusal(address: str, words: str, error: Exception) -> MpdtError:
         return RefusedError("no permission", where=address, found=words,
                             hint="credentials come from the library's own places, see "
                                  "docs/remote.md" + f"; {_LOCKED}" * locked)  # fmt: skip
+    if isinstance(error, OSError) and error.errno in _DISK:
+        return StorageError(_DISK[error.errno], where=address, found=words,
+                            hint="with room the same command goes on from here")  # fmt: skip
     if name == "SFTPFailure":
         return RemoteError("the server says that it failed", where=address, found=words,
                            hint="it may have no room; with room the same command goes on "

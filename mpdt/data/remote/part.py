@@ -87,6 +87,17 @@ def part_of(target: Path) -> tuple[Path, Path]:
     return path, path.with_name(path.name + ".json")
 
 
+def forget_part(target: Path) -> None:
+    """What a transfer left that was killed between its last rename and its end; no error."""
+    part, note = part_of(target)
+    with suppress(OSError, ValueError):
+        is_ours = not note.is_symlink() and isinstance(decode_json(note.read_bytes()), list)
+        if is_ours and os.path.lexists(part) and part.samefile(target):
+            part.unlink()
+        if is_ours and not os.path.lexists(part):
+            note.unlink()
+
+
 def take_part(target: Path, source: str) -> bool:
     """Whether the part that is there is of `source`; of another source, it goes.
 
@@ -101,6 +112,8 @@ def take_part(target: Path, source: str) -> bool:
             if not note.is_symlink() and isinstance(decode_json(note.read_bytes()), list):
                 found = note.read_text(encoding="utf-8")
     if found == source and not part.is_symlink():
+        if os.path.lexists(part) and part.is_file() and part.stat().st_nlink > 1:
+            part.unlink()  # the target of an earlier transfer, which is not to be written into
         return True
     if part.is_symlink() or (found is None and (os.path.lexists(part) or os.path.lexists(note))):
         odd = part if os.path.lexists(part) else note

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from mpdt.data.remote.address import last_name
 from mpdt.data.remote.failure import RefusedError
-from mpdt.data.remote.part import Part, part_of, take_part
+from mpdt.data.remote.part import Part, forget_part, part_of, take_part
 from mpdt.data.remote.place import Place
 from mpdt.data.remote.sums import FILE_NAME, SUFFIX, dumped, loaded, prove
 from mpdt.disk import disk, expect_folder, holding, put_folder, sha256
@@ -102,6 +102,7 @@ def _pull_file(
         if sum is None or not target.is_file() or sha256(target) != sum:
             raise _in_the_way(target)
         moved, content = 0, prove(target, lock)
+        forget_part(target)
     else:
         found: list[str] = []
         # A sum says that it arrived as it was sent; the digests, that it was whole when sent.
@@ -115,7 +116,7 @@ def _pull_folder(
 ) -> Pulled:
     if lock is not None:
         raise UsageError("the lock holds dataset files, not exports", where=place.address)
-    arriving, note = part_of(target)
+    arriving, _ = part_of(target)
     there = target if target.exists() else arriving
     moved = 0
     if there is arriving:
@@ -138,8 +139,7 @@ def _pull_folder(
                     path.unlink()
             (arriving / FILE_NAME).write_bytes(dumped(sums))
         put_folder(arriving, target)
-        with disk(target):
-            note.unlink(missing_ok=True)
+    forget_part(target)
     size = sum_of_sizes(target, sums)
     return Pulled(target, len(sums), size, moved, "sums")
 

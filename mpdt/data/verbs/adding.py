@@ -83,7 +83,8 @@ class Tta(Options):
         self.print(
             {**planned, "steps": int(added.length.sum()), "content_hash": added.content_hash,
              "warnings": done.warnings},
-            f"added   {self.file}   set {self.name}   {len(added):,} episodes   "
+            f"{'added' if done.is_new else 'there already'}   {self.file}   set {self.name}   "
+            f"{len(added):,} episodes   "
             f"content {added.content_hash[:8]}",
         )  # fmt: skip
 

@@ -149,8 +149,9 @@ class _WorkerProcesses:
             "a worker process died",
             where=f"process {process.pid}",
             found=f"exit code {process.exitcode}",
-            hint="-9 usually means that memory ran out: use fewer --workers; "
-            "finished blocks are kept",
+            hint="usually memory ran out: use fewer --workers; finished blocks are kept"
+            if process.exitcode == -signal.SIGKILL
+            else "finished blocks are kept; what it wrote on stderr may say why",
         )
 
     def terminate(self) -> None:

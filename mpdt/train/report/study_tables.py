@@ -9,6 +9,7 @@ from pathlib import Path
 
 from mpdt.disk import disk, write_bytes
 from mpdt.draw.table import Table, markdown_page, rich_tables
+from mpdt.pipe import table_console
 from mpdt.train.evaluate.tables import NORMALISED
 from mpdt.train.run.show import WIDTH_WITHOUT_TERMINAL
 from mpdt.train.study.cells import CellResult
@@ -35,12 +36,9 @@ def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
     if as_json:
         sys.stdout.write(json.dumps([cell.content for cell in cells]) + "\n")
         return
-    from rich.console import Console
-
     studies = [study.name for study in studies_in(folder)]
     tables = report_tables(cells, studies)
-    width = None if sys.stdout.isatty() else WIDTH_WITHOUT_TERMINAL
-    console = Console(file=sys.stdout, width=width)
+    console = table_console(WIDTH_WITHOUT_TERMINAL)
     for table in rich_tables(tables):
         console.print(table)
     if output is not None:

@@ -164,7 +164,8 @@ def inspect(folder: RunFolder, identity: Identity, restart: bool, judges: bool =
             raise StorageError("a file is in the way", where=str(existing),
                                expected="a folder", hint=_ELSEWHERE)  # fmt: skip
         if not os.access(existing, os.R_OK | os.W_OK | os.X_OK):
-            raise StorageError("no permission to write there", where=str(existing), hint=_ELSEWHERE)
+            hint = "copy the run's folder to where you may write" if judges else _ELSEWHERE
+            raise StorageError("no permission to write there", where=str(existing), hint=hint)
         if existing != path:
             return
         if not restart:  # which removes them

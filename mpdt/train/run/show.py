@@ -10,6 +10,7 @@ from typing import Any
 
 from mpdt.draw.table import rich_tables
 from mpdt.errors import quoted
+from mpdt.pipe import table_console
 from mpdt.train.evaluate.tables import build_tables
 from mpdt.train.run.config import TrainConfig, to_plain
 from mpdt.train.run.methods import METHODS, apply_method
@@ -24,17 +25,13 @@ def print_results(results: Mapping[str, Any], as_json: bool) -> None:
     if as_json:
         sys.stdout.write(json.dumps(results, indent=1) + "\n")
         return
-    from rich.console import Console
-
     if results.get("complete") is False:
         asked = results.get("updates_asked", {})
         done = ", ".join(
             f"{phase} {n} of {asked.get(phase)}" for phase, n in results.get("updates", {}).items()
         )
         sys.stdout.write(f"incomplete, ended by a time limit after updates: {done}\n")
-    console = Console(
-        file=sys.stdout, width=None if sys.stdout.isatty() else WIDTH_WITHOUT_TERMINAL
-    )
+    console = table_console(WIDTH_WITHOUT_TERMINAL)
     for table in rich_tables(build_tables(scores_in(results), "policy" not in results)):
         console.print(table)
 

@@ -83,7 +83,10 @@ class Trainer:
             folder.log.cut(int(str(header.settings["metrics_bytes"])))
             self.follower.kept(folder.log.size_bytes)
             self.progress.say(f"trained already: {folder.weights}")
-            return self._trained(msgspec.convert(header.settings["updates"], dict[str, int]))
+            updates = msgspec.convert(header.settings["updates"], dict[str, int])
+            if self._drop_checkpoints(updates):  # of a process that was killed just before
+                folder.checkpoint("best").unlink(missing_ok=True)
+            return self._trained(updates)
         with Spent(folder).training():
             return self._trained(self._phases(subject, began_s))
 
@@ -188,11 +191,16 @@ class Trainer:
         )
         self.folder.log.sync()
         save_weights(path, subject.tensors(optimizer=False), header)
-        whole = [phase for phase in updates if updates[phase] == self.learner.asked[phase]]
-        for phase in updates if self._ended else whole:
-            self.folder.checkpoint(phase).unlink(missing_ok=True)
-        if self._ended or len(whole) == len(updates):  # else a phase goes on and cuts the log
+        if self._drop_checkpoints(updates):  # else a phase goes on and cuts the log
             self.follower.kept(self.folder.log.size_bytes)
+
+    def _drop_checkpoints(self, updates: Mapping[str, int]) -> bool:
+        """Of phases that have nothing to go on with; whether that is all of them."""
+        asked = self.learner.asked
+        over = [phase for phase in updates if self._ended or updates[phase] == asked[phase]]
+        for phase in over:
+            self.folder.checkpoint(phase).unlink(missing_ok=True)
+        return len(over) == len(updates)
 
     def _prove(self) -> None:
         """Before what was learnt is kept. Raises: FormatError for a damaged episode."""

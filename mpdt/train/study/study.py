@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mpdt.disk import disk, holding, write_bytes
-from mpdt.errors import FormatError, MissingFileError, MpdtError, StorageError
+from mpdt.errors import BusyError, FormatError, MissingFileError, MpdtError, StorageError
 from mpdt.reading import read_json
 from mpdt.train.evaluate.sealed import check_digest, sealed
 from mpdt.train.fit.validation import PHASE as VALIDATION
@@ -36,7 +36,7 @@ from mpdt.train.run.progress import Progress
 from mpdt.train.study.maps import KEPT, keep_prompts
 from mpdt.train.study.recipes import Cell
 
-State = Literal["done", "to do", "no data", "failed"]
+State = Literal["done", "to do", "no data", "busy", "failed"]
 CURVE_POINTS = 40
 
 
@@ -135,6 +135,8 @@ def run_study(
             try:
                 _run_cell(cell, prepared, places, progress, restart)
                 outcome = Outcome(cell, "done")
+            except BusyError as error:  # another study's, which does it
+                outcome = Outcome(cell, "busy", error.message())
             except MpdtError as error:
                 progress.say(error.render())
                 outcome = Outcome(cell, "failed", error.message())
