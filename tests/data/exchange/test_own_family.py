@@ -117,6 +117,17 @@ def test_a_time_limit_that_is_said(tmp_path: Path) -> None:
     assert data.steps.successes.tolist() == [False] * 4 + [True, False]
 
 
+def test_who_ends_by_its_own_rule_was_not_cut_off(tmp_path: Path) -> None:
+    """Both flags at the last step; the limit is four."""
+    folder = tmp_path / "sets"
+    folder.mkdir()
+    np.savez(folder / "left.npz", **flat(timeouts=np.arange(1, 7) % 3 == 0))
+    data = brought(folder, horizon=4)
+    one, two = data.episode(0), data.episode(1)
+    assert one.truncations.tolist() == two.terminations.tolist() == [False, False, True]
+    assert not one.terminations.any() and not two.truncations.any()
+
+
 def test_a_flat_file_that_does_not_say_where_it_was_cut(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "left.hdf5", "w") as file:
         for name, values in flat(timeouts=None).items():
