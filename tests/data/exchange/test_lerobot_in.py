@@ -36,7 +36,8 @@ def tree(folder: Path, version: str = "v2.1", **changes: Any) -> Path:
     meta, data = folder / "meta", folder / "data/chunk-000"
     meta.mkdir(parents=True)
     data.mkdir(parents=True)
-    info = {"codebase_version": changes.get("said", version), "features": features}
+    info = {"codebase_version": changes.get("said", version), "features": features,
+            "fps": changes.get("fps", 0)}  # fmt: skip
     (meta / "info.json").write_text(json.dumps(info))
     tables = [steps(0, 0, 4), steps(1, 1, 3), steps(2, 0, 2)]
     if version == "v3.0":
@@ -178,7 +179,9 @@ def test_words_that_do_not_fit(
 
     folder = tree(tmp_path / "one", texts=["raech-v3", "push-v2"])
     assert "ml10 has no task raech-v3" in (error := fails(folder, *ML10)) and "reach" in error
-    assert run("import", folder, *ML10, "--task", "reach", "-o", "y.h5") == 0
+    words: tuple[object, ...] = ("--task", "reach", "--quality", "medium")
+    assert run("import", folder, *ML10, *words, "-o", "y.h5") == 0
+    assert open_dataset("y.h5").episodes.quality.tolist() == [1] * 3
     error = fails(folder, "--from", "lerobot", "--family", "cheetah_vel", code=1)
     assert "no action of 6 numbers" in error
     (tmp_path / "empty").mkdir()
@@ -220,6 +223,14 @@ def test_a_tree_as_a_family_of_its_own(
     assert data.spec["import"]["sources"][0]["states"] == ["observation.state"]
     outcomes = {one.outcome.value for one in verify(data.path).findings}
     assert "FAIL" not in outcomes
+
+
+def test_trees_that_disagree(tmp_path: Path, imported: Make) -> None:
+    """In their seconds per step, so one is written; in the words before a task, so they stay."""
+    for fps in (10, 20):
+        tree(tmp_path / f"theirs/{fps}", fps=fps, texts=["ml10: reach", "push"])
+    data = imported(tmp_path / "theirs", *OWN)
+    assert data.contract().step_s == 1.0 and data.tasks.names == ("ml10_reach", "push")
 
 
 @pytest.mark.parametrize(

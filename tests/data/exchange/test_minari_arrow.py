@@ -80,6 +80,12 @@ def test_both_storages_give_the_same_foreign_data(
     Path("imported.h5").unlink()
     changed = imported("out/mpdt", *words)
     assert [one["sha256"] for one in changed.spec["import"]["sources"]] != hashes[1]
+    place.write_bytes(content)
+    metadata = exported / EXPERT / "data/metadata.json"
+    metadata.write_text(metadata.read_text() + "\n")  # it is a part of the set, too
+    Path("imported.h5").unlink()
+    changed = imported("out/mpdt", *words)
+    assert [one["sha256"] for one in changed.spec["import"]["sources"]] != hashes[1]
 
 
 def test_sets_of_others_become_a_family_of_their_own(tmp_path: Path, imported: Make) -> None:
@@ -130,6 +136,12 @@ def with_a_gap(columns: dict[str, Any]) -> dict[str, Any]:
     return columns | {"rewards": pa.array([None, *columns["rewards"].to_pylist()[1:]])}
 
 
+def with_a_gap_inside(columns: dict[str, Any]) -> dict[str, Any]:
+    numbers = columns["observations"].flatten().to_pylist()
+    part = pa.FixedSizeListArray.from_arrays(pa.array([None, *numbers[1:]], pa.float32()), 39)
+    return columns | {"observations": part}
+
+
 def narrower(columns: dict[str, Any]) -> dict[str, Any]:
     wide = columns["actions"].flatten().to_numpy().reshape(-1, 4)[:, :3].copy().reshape(-1)
     return columns | {"actions": pa.FixedSizeListArray.from_arrays(pa.array(wide), 3)}
@@ -155,11 +167,22 @@ def test_what_is_refused(
         assert not Path("x.h5").exists()
 
     for change, why in ((without, "no actions"), (with_a_gap, "empty cells"),
+                        (with_a_gap_inside, "observations has empty cells"),
                         (of_parts, "observations of several parts"),
                         (narrower, "arrays of other sizes")):  # fmt: skip
         rewritten(place, change)
         refused(why)
         place.write_bytes(saved)
+    with pa.ipc.open_file(place) as file:
+        batch = file.get_batch(0)
+    with pa.OSFile(str(place), "wb") as out, pa.ipc.new_file(out, batch.schema) as writer:
+        for part in (batch.slice(0, 6), batch.slice(6)):
+            writer.write_batch(part)
+    refused("not one batch of steps; found 2")
+    place.write_bytes(saved)
+    (data / "0/part-1.arrow").write_bytes(saved)
+    refused("not one file of steps")
+    (data / "0/part-1.arrow").unlink()
     place.write_bytes(saved[: len(saved) // 2])
     refused("damaged, or not an Arrow file of Minari")
     place.write_bytes(b"PK\x03\x04")
@@ -169,5 +192,8 @@ def test_what_is_refused(
     place.write_bytes(saved)
     (data / "0/metadata.json").write_text("{")
     refused("not JSON")
+    shutil.copytree(data / "1", data / "2")
+    refused("not the number of episodes in its metadata; expected 2, found 3")
+    shutil.rmtree(data / "2")
     shutil.rmtree(data / "1")
     refused("not the number of episodes in its metadata")

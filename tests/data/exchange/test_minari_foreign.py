@@ -162,6 +162,7 @@ def test_metadata_that_is_none(
     metadata = json.loads(file.read_text())
     cases: list[tuple[object, str]] = [
         (metadata | {"total_episodes": 3}, "expected 3, found 2"),
+        (metadata | {"total_episodes": 1}, "expected 1, found 2"),
         (metadata | {"data_format": "zarr"}, "expected data_format hdf5 or arrow, found zarr"),
         (metadata | {"data_format": "arrow"}, "expected 2, found 0"),
         (metadata | {"mpdt": {}}, "another storage format"),

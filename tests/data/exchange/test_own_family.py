@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from own_families import forgotten, line
@@ -59,7 +60,10 @@ def test_names_bounds_and_references_are_what_the_data_have(tmp_path: Path) -> N
     np.savez(folder / "left-expert-v2.npz", **flat())
     other = np.full((6, 1), 0.25, np.float32)
     np.savez(folder / "left-random-v2.npz", **flat(rewards=np.arange(6, dtype="f4"), actions=other))
-    np.savez(folder / "right.npz", **flat(actions=np.full((6, 1), -2.5, np.float32)))
+    np.savez(
+        folder / "right.npz",
+        **flat(actions=np.full((6, 1), -2.5, np.float32), rewards=np.full(6, 9, np.float32)),
+    )
     data = brought(folder, test=("right",))
     family = data.contract()
     assert list(data.tasks.names) == ["left", "right"]
@@ -83,6 +87,61 @@ def test_names_bounds_and_references_are_what_the_data_have(tmp_path: Path) -> N
     assert batch.observations.shape == (1, 2, 2, 2)
 
 
+def test_returns_below_zero_and_actions_within_one(tmp_path: Path) -> None:
+    """Two episodes return 1 and -15."""
+    folder = tmp_path / "sets"
+    folder.mkdir()
+    np.savez(
+        folder / "left-medium-expert.npz", **flat(rewards=np.array([0, 0, 1] + [-5] * 3, "f4"))
+    )
+    data = brought(folder)
+    family = data.contract()
+    assert (family.return_target, family.return_scale) == (1.0, 16.0)
+    assert (family.action_low, family.action_high) == (-1.0, 1.0)
+    # Two words for a quality are none.
+    assert data.tasks.names == ("left-medium-expert",)
+    assert data.episodes.quality.tolist() == [-1, -1]
+
+
+def test_a_time_limit_that_is_said(tmp_path: Path) -> None:
+    """Seven steps without an end of their own, cut off after three; the last one is left out."""
+    folder = tmp_path / "sets"
+    folder.mkdir()
+    arrays = flat(1, 7, timeouts=None, terminals=np.zeros(7, bool))
+    np.savez(folder / "left.npz", successes=np.arange(7) == 4, **arrays)
+    data = brought(folder, horizon=3)
+    assert data.episodes.length.tolist() == [3, 3] and not data.contract().ends_early
+    assert data.episode(1).observations[0].tolist() == [6, 7]
+    assert data.episode(1).truncations.tolist() == [False, False, True]
+    assert data.steps.successes is not None
+    assert data.steps.successes.tolist() == [False] * 4 + [True, False]
+
+
+def test_who_ends_by_its_own_rule_was_not_cut_off(tmp_path: Path) -> None:
+    """Both flags at the last step; the limit is four."""
+    folder = tmp_path / "sets"
+    folder.mkdir()
+    np.savez(folder / "left.npz", **flat(timeouts=np.arange(1, 7) % 3 == 0))
+    data = brought(folder, horizon=4)
+    one, two = data.episode(0), data.episode(1)
+    assert one.truncations.tolist() == two.terminations.tolist() == [False, False, True]
+    assert not one.terminations.any() and not two.truncations.any()
+
+
+def test_a_flat_file_that_does_not_say_where_it_was_cut(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "left.hdf5", "w") as file:
+        for name, values in flat(timeouts=None).items():
+            file[name] = values
+    with pytest.raises(MpdtError, match="does not say where episodes were cut off"):
+        read([tmp_path], Asked(format="d4rl", name="mine"), "mine")
+
+
+def test_an_archive_that_holds_too_much(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "left.npz", **flat(), more=np.zeros(1_000_000))
+    with pytest.raises(MpdtError, match="more than it can hold"):
+        read([tmp_path], Asked(format="npz", name="mine"), "mine")
+
+
 @pytest.mark.parametrize("format", ["minari", "d4rl"])
 def test_sets_and_flat_files(format: str, tmp_path: Path) -> None:
     mpdt.register_family(line(has_success=True))
@@ -103,6 +162,10 @@ def test_sets_and_flat_files(format: str, tmp_path: Path) -> None:
     two = data.episode(int(data.select(task=data.tasks.names[order[0]], quality="expert")[0]))
     assert (one.observations == two.observations).all() and (one.rewards == two.rewards).all()
     assert steps.actions.shape == theirs.actions.shape
+    if format == "minari":  # line/left/expert
+        asked = Asked(format=format, name="mine", task_from="folder")
+        tasks = read([tmp_path / "sets"], asked, "mine").header.tasks
+        assert [task.name for task in tasks] == ["far", "left", "right"]
 
 
 @pytest.mark.parametrize(

@@ -28,11 +28,15 @@ from mpdt.train.evaluate.rollout import evaluate
 Make = Callable[..., Any]
 STEPS = 12
 SEEDS = {"light": (0, 7), "heavy": (3, 2**63 + 1)}
+HEAVY = "swing/heavy-random-v0"
 GRAVITY = {"light": 2.0, "heavy": 9.0}
 
 
 class Unsteady(gymnasium.Env[Any, Any]):
-    """Pendulum's spaces; observations that no seed decides, or a global generator decides."""
+    """Pendulum's spaces; observations that no seed decides, or a global generator decides.
+
+    The reward is minus the size of the action.
+    """
 
     observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,))
     action_space = gymnasium.spaces.Box(-2, 2, (1,))
@@ -48,16 +52,23 @@ class Unsteady(gymnasium.Env[Any, Any]):
         return self._seen(), {}
 
     def step(self, action: Any) -> Any:
-        return self._seen(), 0.0, False, False, {}
+        return self._seen(), -abs(float(action[0])), False, False, {}
+
+
+class Strong(Unsteady):
+    """With other bounds."""
+
+    action_space = gymnasium.spaces.Box(-3, 3, (1,))
 
 
 @pytest.fixture(scope="module", autouse=True)
 def registered() -> Iterator[None]:
     gymnasium.register("MpdtUnsteady-v0", Unsteady)
+    gymnasium.register("MpdtStrong-v0", Strong)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mpdt.data.verify.family.SECONDS", 0.01)  # nobody reads the speed
         yield
-    del gymnasium.registry["MpdtUnsteady-v0"]
+    del gymnasium.registry["MpdtUnsteady-v0"], gymnasium.registry["MpdtStrong-v0"]
 
 
 @pytest.fixture(scope="session")
@@ -122,6 +133,8 @@ def test_the_recorded_environment_simulates(
     assert all(one.outcome is not Outcome.FAIL for one in found.values())
     references = data.tasks.references[0]
     assert references["zero"].episodes == references["random"].episodes == 100
+    light = data.tasks.references[1]["zero"]  # of another gravity
+    assert light.episodes == 100 and light.mean != references["zero"].mean
     assert references["zero"].source == "local" and not references["expert"].is_known
     # As training judges: what zero earns with other seeds is what it earned at the import.
     judged = evaluate(ZeroPolicy(1), family, [family.task("swing-heavy")], {}, STEPS, 40, 3, 40)
@@ -164,6 +177,10 @@ def test_sets_of_arrow_files_too(sets: Path, tmp_path: Path, imported: Make) -> 
     assert outcomes(data)["replay"].text.startswith("2 episodes, 24 steps byte-equal")
 
 
+def test_a_horizon_that_is_said_comes_before_the_recorded_limit(sets: Path, imported: Make) -> None:
+    assert imported(sets, *WORDS, "--horizon", STEPS + 1).contract().horizon == STEPS + 1
+
+
 def test_without_asking_all_stays_as_it_was(sets: Path, imported: Make) -> None:
     data: Dataset = imported(sets, *WORDS[:-1])
     assert not data.contract().simulates and "environments" not in data.definition
@@ -172,12 +189,12 @@ def test_without_asking_all_stays_as_it_was(sets: Path, imported: Make) -> None:
     assert outcomes(data, None)["replay"].outcome is Outcome.NONE
 
 
-def altered(sets: Path, folder: Path, **changes: Any) -> Path:
-    """The set of heavy, with another recorded environment."""
+def altered(sets: Path, folder: Path, what: str = HEAVY, **changes: Any) -> Path:
+    """A copy of `what`, in which the set of heavy records another environment."""
     import shutil
 
-    shutil.copytree(sets / "swing/heavy-random-v0", folder / "sets/swing/heavy-random-v0")
-    path = next((folder / "sets").rglob("metadata.json"))
+    shutil.copytree(sets / what, folder / "sets" / what)
+    path = folder / "sets" / HEAVY / "data/metadata.json"
     metadata = json.loads(path.read_text())
     spec = json.loads(metadata["env_spec"]) | changes
     metadata["env_spec"] = json.dumps(spec) if changes.get("id", "") is not None else None
@@ -225,12 +242,37 @@ def test_what_is_refused(
     assert not Path("x.h5").exists() and "mpdt_never" not in sys.modules
 
 
+@pytest.mark.parametrize(
+    ("changes", "words", "said"),
+    [
+        ({"max_episode_steps": 13}, (), "no time limit that holds for all"),
+        ({"id": "MpdtStrong-v0", "kwargs": {}}, (), "tasks with different bounds of actions"),
+        ({}, ("--task", "all"), "two environments of task all"),
+    ],
+)
+def test_sets_that_disagree(
+    sets: Path,
+    tmp_path: Path,
+    run: Make,
+    capsys: pytest.CaptureFixture[str],
+    changes: dict[str, Any],
+    words: tuple[str, ...],
+    said: str,
+) -> None:
+    both = altered(sets, tmp_path, "swing", **changes)
+    assert run("import", both, *WORDS, *words, "-o", "x.h5") == 1
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
 def test_what_no_seed_decides_is_not_replayed(
     sets: Path, tmp_path: Path, imported: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
     data = imported(altered(sets, tmp_path, id="MpdtUnsteady-v0", kwargs={}), *WORDS)
     assert "swing is not exact, so nothing is replayed" in capsys.readouterr().err
     assert data.contract().simulates and not data.contract().exact
+    # Actions between the environment's own bounds -2 and 2 are of size 1 in the mean.
+    means = {name: data.tasks.references[0][name].mean for name in ("zero", "random")}
+    assert means == {"zero": 0, "random": pytest.approx(-STEPS, rel=0.1)}
     found = outcomes(data, None)["replay"]
     assert found.outcome is Outcome.NONE and "swing says exact: false" in found.text
 

@@ -18,7 +18,7 @@ def data(tiny_file):
     return open_dataset(tiny_file)
 
 
-@pytest.mark.parametrize(("share", "count"), [(0.01, 1), (0.25, 1), (0.5, 2), (0.99, 3)])
+@pytest.mark.parametrize(("share", "count"), [(0.01, 1), (0.25, 1), (0.4, 2), (0.5, 2), (0.99, 3)])
 def test_of_each_task_and_quality_some_and_never_all(data, share, count):
     ids = choose(data, Cut(validation=share))
     groups = [(i // 16, i % 16 // 4) for i in ids.tolist()]

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import pickle
+from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
+from own_families import TASKS, line
 
+from mpdt.data.spec.family import definition
+from mpdt.data.spec.tasks import Task
 from mpdt.data.store import layout
 from mpdt.data.store.reader import open_dataset, open_tta_rewards, parse_ref
 from mpdt.data.store.seal import seal
 from mpdt.data.store.tables import Stats
-from mpdt.data.store.writer import write_stats
+from mpdt.data.store.writer import write_file, write_stats
 from mpdt.errors import FormatError, MissingFileError, UsageError
 
 STEPS = ("observations", "actions", "rewards", "terminations", "truncations")
@@ -230,6 +235,27 @@ def test_damaged_files_get_one_clear_error(made, change, what):
         open_dataset(made.path)
     assert what in str(caught.value)
     assert "hand-made.h5" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [({"tasks": 3}, "no definition of a family"), ({"horizon": 0}, "horizon: ")],
+)
+def test_a_definition_that_nobody_writes(made, changes, what):
+    amend(made.path, attribute("definition", json.dumps(definition(line()) | changes)))
+    with pytest.raises(FormatError, match=f"definition of the family is not as.*found {what}"):
+        open_dataset(made.path)
+
+
+def test_a_definition_too_long_for_an_attribute(kit, tmp_path):
+    """It is a data set of the file then, like any long text."""
+    more = (Task(f"task-{i}", i, "train", (float(i),)) for i in range(3, 1000))
+    told = definition(line(tasks=(*TASKS, *more)))
+    header = replace(kit.header, family="line", definition=told)
+    path = write_file(tmp_path / "long.h5", header, kit.source()).path
+    with h5py.File(path) as file:
+        assert "definition" in file and "definition" not in file.attrs
+    assert open_dataset(path).definition == told
 
 
 def test_text_that_is_no_text(made):

@@ -39,6 +39,15 @@ def test_a_data_set_shows_the_returns_of_its_tasks(
     assert "&lt;b&gt;" in dataset_html(replace(data, name="<b>"))
 
 
+def test_counts_and_roles_are_those_of_the_file(collected: Path) -> None:
+    """32 episodes of 5 steps; the second task as if it were only tested on."""
+    data = open_dataset(collected)
+    assert "32 episodes, 160 steps" in dataset_html(data)
+    for roles, names in (((0, 1), ["train", "test"]), ((2, 2), ["both", "both"])):
+        data.tasks.roles[:] = roles
+        assert [row[1] for row in cells(dataset_html(data))[1:]] == names
+
+
 def test_slices_say_their_rules() -> None:
     slices = Slices({"mine": np.arange(1200)}, {"mine": {"quality": "medium"}})
     assert cells(slices._repr_html_())[1] == ["mine", "quality=medium", "1,200"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,8 @@ class Broken(Line):
             np.random.normal()  # noqa: NPY002
         if self.how == "random":
             random.random()
+        if self.how == "torch":
+            sys.modules["torch"].rand(1)
         SHARED[self.index] = self.at
         if self.how == "neighbours" and self.steps == 4:
             self.at += SHARED[self.index - 1]  # of the row before
@@ -55,6 +58,12 @@ class Broken(Line):
             observation[1] = self.goal
         if self.how == "bounds" and action[0] == 1.0 and self.steps == 3:
             observation[0] = np.inf
+        if self.how == "zero":
+            observation[0] = -0.0 if self.index % 2 else 0.0
+        if self.how == "reward":
+            reward += self.index
+        if self.how == "late":
+            over = over or (self.steps == 8 and self.index % 2 == 0)
         return observation, reward, over or (self.how == "ends" and self.steps == 5), cut, info
 
 
@@ -87,9 +96,13 @@ def test_a_sound_family_passes(how: str) -> None:
     [
         ("seed", "seed", "task left, reset, row 0: another x [m]", {}),
         ("reset", "reset", "task left, reset, row 0: another x [m]", {}),
+        ("zero", "seed", "task left, step 0, row 0: another sign of zero", {}),
+        ("reward", "seed", "task left, step 0, row 0: another reward", {}),
+        ("late", "seed", "task left, step 7, row 0: another end", {"ends_early": True}),
         ("neighbours", "neighbours", "task left, step 4, row 0: another", {}),
         ("numpy.random", "globals", "it draws from numpy.random: use env.np_random", {}),
         ("random", "globals", "it draws from random: use env.np_random", {}),
+        ("torch", "globals", "it draws from torch: use env.np_random", {}),
         ("ends", "stepping", "task left, step 4: the episode ends here", {"ends_early": False}),
         ("", "endings", "task left, step 4, row 0: it ends",
          {"ends_early": False, "env": None, "batch": batch_that_ends}),
@@ -108,10 +121,30 @@ def test_a_sound_family_passes(how: str) -> None:
     ],
 )  # fmt: skip
 def test_each_rule_notices(how: str, rule: str, told: str, changes: dict[str, Any]) -> None:
+    if how == "torch":
+        pytest.importorskip("torch")
     found = rules(how, **changes)
     assert found[rule].outcome is Outcome.FAIL and told in found[rule].text
     if rule == "stepping":
         assert {one.outcome for id, one in found.items() if id != rule} == {Outcome.SKIP}
+
+
+def test_another_process_is_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if it played the rows from behind."""
+
+    def elsewhere(function: Any, runs: Any, workers: int) -> Any:
+        return [function(run.rows(slice(None, None, -1))) for run in runs]
+
+    monkeypatch.setattr(module, "map_blocks", elsewhere)
+    found = {one.id: one for one in check_family(line())}["worker"]
+    assert found.outcome is Outcome.FAIL
+    assert "here and in another process: task left, reset, row 0: another x" in found.text
+
+
+def test_the_simulator_gets_its_options() -> None:
+    """`line` ends beyond 3 where it is told to; this one says that it does not."""
+    found = check_family(line(ends_early=False), options={"ends": True}, worker=False)[0]
+    assert found.outcome is Outcome.FAIL and "the episode ends here" in found.text
 
 
 def test_as_a_test_it_raises_what_is_broken() -> None:
@@ -130,6 +163,14 @@ def test_who_is_not_exact_is_not_held_to_bytes() -> None:
     found = rules("seed", exact=False)
     assert found["seed"].outcome is Outcome.SKIP and "exact is false" in found["seed"].text
     assert found["endings"].outcome is Outcome.PASS
+    calls: list[int] = []
+
+    def uneven(seen: Any, goals: Any) -> Any:
+        calls.append(0)
+        return there(seen, goals) * (1 - len(calls) % 3 / 4)
+
+    for exact, outcome in ((True, Outcome.FAIL), (False, Outcome.PASS)):
+        assert rules(scripts={"uneven": uneven}, exact=exact)["scripts"].outcome is outcome
 
 
 def test_batches_pass_too() -> None:

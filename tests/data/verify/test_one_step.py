@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,7 +23,9 @@ from mpdt.data.spec.entry import EpisodeCounts
 from mpdt.data.spec.smoke import smoke
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.dataset import Dataset
-from mpdt.data.verify.one_step import differences
+from mpdt.data.verify import one_step
+from mpdt.data.verify.finding import Finding, Outcome
+from mpdt.data.verify.one_step import Differences, differences, with_one_step
 from mpdt.data.verify.verify import verify
 
 
@@ -59,6 +63,27 @@ def test_an_import_is_told_of_its_steps(tmp_path: Path, monkeypatch: pytest.Monk
     found = {one.id: one for one in verify(data.path, only=("replay",)).findings}["replay"]
     assert found.outcome.value == "WARN" and "another reward, or another robot" in found.text
     assert differences(data).reward[0] == pytest.approx(9, abs=1e-3)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("off", "spread", "before", "after"),
+    [
+        (0.09, 0.5, Outcome.NONE, Outcome.NONE),
+        (0.11, 0.5, Outcome.NONE, Outcome.WARN),
+        (0.3, 2.0, Outcome.NONE, Outcome.NONE),
+        (float("nan"), 0.5, Outcome.NONE, Outcome.WARN),
+        (0.11, 0.5, Outcome.FAIL, Outcome.FAIL),
+    ],
+)
+def test_a_fifth_of_the_rewards_spread_is_another_reward(
+    monkeypatch: pytest.MonkeyPatch, off: float, spread: float, before: Outcome, after: Outcome
+) -> None:
+    found = Differences(1, (0.0, 0.0), (off, off), spread)
+    monkeypatch.setattr(one_step, "differences", lambda data: found)
+    material: Any = SimpleNamespace(
+        is_imported=True, family="any", dataset=SimpleNamespace(episodes=[0])
+    )
+    assert with_one_step(Finding("replay", before, "no seeds"), material).outcome is after
 
 
 def test_where_an_observation_does_not_tell_the_state_that_is_said(

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,6 +16,7 @@ from mpdt.data.store.reader import open_dataset
 from mpdt.errors import DataError, SpecError
 from mpdt.model.demonstrations import DemonstrationPrompts
 from mpdt.model.policy import PolicyBatch, action_loss
+from mpdt.model.returns import ReturnTable
 from mpdt.train.fit import validation
 from mpdt.train.fit.data import _without, load_material
 from mpdt.train.fit.device import PROCESSOR
@@ -26,7 +28,12 @@ from mpdt.train.run.identity import identify, plain_settings
 from ..run.command import QUICK, call
 
 # Experts of the tiny file: 4 to 7 of the first task, 12 to 15 of the second.
-SLICES = {"validation": [1, 5, 13], "whole": [0, 1, 2, 3, 4, 5, 6, 7], "all": list(range(16))}
+SLICES = {
+    "validation": [1, 5, 13],
+    "mixed": [0, 1, 2, 3, 4, 5, 6, 7, 13],
+    "whole": [0, 1, 2, 3, 4, 5, 6, 7],
+    "all": list(range(16)),
+}
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +81,8 @@ def test_the_error_is_that_of_every_real_step(tiny_file, file, monkeypatch):
     subject = Validation(material, 4, 7)
     found = subject.action_error(trained.policy, trained.prompts, trained.returns, PROCESSOR)
     again = subject.action_error(trained.policy, trained.prompts, trained.returns, PROCESSOR)
+    other = Validation(material, 4, 8)._sampler.batch(0)
+    assert other.starts.tolist() != subject._sampler.batch(0).starts.tolist()
     total, steps, dataset = 0.0, 0, material.dataset
     for number in range(validation.BATCHES):
         drawn = subject._sampler.batch(number)
@@ -111,6 +120,27 @@ def test_a_task_held_out_whole_stands_behind_the_mean_of_the_others(tiny_file, f
     with pytest.raises(ValueError, match="demonstrations do not stand"):
         shown = DemonstrationPrompts.__new__(DemonstrationPrompts)
         subject.action_error(policy, shown, trained.returns, PROCESSOR)
+
+
+def test_each_task_has_its_own_scale_and_one_held_out_whole_the_mean(tiny_file, file):
+    """Of the first task all, of the second one episode; as if a third were trained on, too."""
+    _, trained = make_trained(tiny_file)
+    material = replace(load_material(str(file), "expert", "mixed"), train_rows=(1, 9))
+    assert list(material.validation_ids) == [0, 1]
+    seen = []
+
+    def policy(batch, prompts, returns):
+        seen.append((prompts, returns))
+        return SimpleNamespace(actions=torch.zeros_like(batch.actions))
+
+    one, two = torch.tensor([1.0, 2.0]), torch.tensor([3.0, 5.0])
+    table = ReturnTable(scale=two, low=-one, high=one, target=one)
+    Validation(material, 4, 0).action_error(policy, trained.prompts, table, PROCESSOR)
+    prompts, returns = seen[0]
+    assert returns.scale.tolist() == [4.0, 3.0]
+    assert returns.low.tolist() == [-1.5, -1.0]
+    own = trained.prompts.task_prompts(torch.tensor([0]))
+    torch.testing.assert_close(prompts[1:], own)
 
 
 def test_best_look_by_hand():
