@@ -260,3 +260,17 @@ def test_watch_shows_the_tables_of_a_finished_run(finished, capsys):
     told = json.loads(capsys.readouterr().out)
     assert told["state"] == "done" and told["phases"]["student"]["done"] == 20
     assert ("test", "zero action") in [(row["tasks"], row["method"]) for row in told["returns"]]
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_short_command_that_is_ended_cleans_up(finished, tmp_path, monkeypatch, capsys, number,
+                                                 code):  # fmt: skip
+    def ended(path):
+        os.kill(os.getpid(), number)
+
+    monkeypatch.setattr("mpdt.disk.replace.sync", ended)
+    with pytest.raises(SystemExit) as end:
+        main(["report", str(finished), "--html", str(tmp_path / "x.html")])
+    assert end.value.code == code and not list(tmp_path.iterdir())
+    error = capsys.readouterr().err
+    assert error.startswith("interrupted; go on with: mpdt-train report ") and "\n" in error

@@ -101,7 +101,11 @@ def _bounds(family: Family, recorded: Recorded, task: Task) -> tuple[float, floa
                             hint="import without --env")  # fmt: skip
     assert isinstance(acts, spaces.Box)
     low, high = float(acts.low.min()), float(acts.high.max())
-    if (acts.low != acts.low.min()).any() or (acts.high != high).any() or not np.isfinite(high):
+    if (
+        (acts.low != acts.low.min()).any()
+        or (acts.high != high).any()
+        or not np.isfinite([low, high]).all()
+    ):
         raise DataError("one pair of bounds holds for all actions here", where=where,
                         found=f"{acts.low.tolist()} to {acts.high.tolist()}"[:120],
                         hint="import without --env, or write a module that scales them"

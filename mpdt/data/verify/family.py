@@ -21,6 +21,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -192,13 +193,13 @@ def _endings(runs: Sequence[Run]) -> Iterator[str]:
 
 def _tasks(family: Family, runs: Sequence[Run]) -> Iterator[str]:
     seen = [play(replace(run, keys=runs[0].keys, actions=runs[0].actions)) for run in runs]
-    for run, found in zip(runs[1:], seen[1:], strict=True):
-        steps = min(int(found.lengths()[0]), int(seen[0].lengths()[0]))
-        one, two = (each.observations[: steps + 1, 0] for each in (seen[0], found))
+    for (run, found), (other, against) in combinations(zip(runs, seen, strict=True), 2):
+        steps = min(int(found.lengths()[0]), int(against.lengths()[0]))
+        one, two = (each.observations[: steps + 1, 0] for each in (found, against))
         if one.tobytes() == two.tobytes() and (
-            seen[0].rewards[:steps, 0].tobytes() == found.rewards[:steps, 0].tobytes()
+            found.rewards[:steps, 0].tobytes() == against.rewards[:steps, 0].tobytes()
         ):
-            yield f"tasks {runs[0].task.name} and {run.task.name} are the same in every number"
+            yield f"tasks {run.task.name} and {other.task.name} are the same in every number"
     if not family.goal_hidden or len(runs) < 2:
         return
     shown = [column for column in range(family.observation_size)

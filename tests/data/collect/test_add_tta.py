@@ -16,6 +16,7 @@ from mpdt.data.collect import add_tta as tta
 from mpdt.data.collect.add_tta import Added, add_set, set_job
 from mpdt.data.collect.collect import collect
 from mpdt.data.collect.job import make_job
+from mpdt.data.collect.parts import PartsFolder
 from mpdt.data.collect.runner import BlockRunner
 from mpdt.data.sim.play import Acted, run_blocks
 from mpdt.data.spec import entry
@@ -183,3 +184,15 @@ def test_the_lock_does_not_mind_a_set_beside_its_own(
     assert main([*words, "--overwrite"]) == 0
     assert main(["lock", "--check", "-q"]) == 1
     assert main(["verify", "tiny.h5", "--locked", "--only", "hash", "-q"]) == 1
+
+
+def test_the_same_set_again_leaves_every_byte_and_simulates_nothing(
+    tiny_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert added(tiny_file, "wide", WIDE).is_new
+    before = tiny_file.read_bytes()
+    left = PartsFolder(tiny_file.with_name("tiny.h5.tta-wide")).path
+    (left / "blocks").mkdir(parents=True)  # killed just before it went
+    monkeypatch.setattr(tta, "run_missing", None)
+    assert not added(tiny_file, "wide", WIDE).is_new
+    assert tiny_file.read_bytes() == before and not left.exists()

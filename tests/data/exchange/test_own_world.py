@@ -58,7 +58,9 @@ class Unsteady(gymnasium.Env[Any, Any]):
 class Strong(Unsteady):
     """With other bounds."""
 
-    action_space = gymnasium.spaces.Box(-3, 3, (1,))
+    def __init__(self, endless: bool = False) -> None:
+        super().__init__()
+        self.action_space = gymnasium.spaces.Box(-np.inf if endless else -3, 3, (1,))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -225,6 +227,7 @@ def test_another_gravity_than_the_data_is_found(sets: Path, tmp_path: Path, impo
         ({"id": "MountainCarContinuous-v0", "kwargs": {}}, "other observations than the data"),
         ({"id": "CartPole-v1", "kwargs": {}}, "other observations than the data"),
         ({"max_episode_steps": 11}, "no time limit that holds for all"),
+        ({"id": "MpdtStrong-v0", "kwargs": {"endless": True}}, "one pair of bounds"),
         ({"id": "MpdtUnsteady-v0", "kwargs": {"shared": True}}, "breaks the rule `globals`"),
     ],
 )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import hashlib
 import json
@@ -404,3 +405,38 @@ def test_only_what_the_lock_holds(tiny_file: Path, run: Run, tmp_path: Path) -> 
     source = shutil.move(tiny_file, tmp_path / "there.h5")
     code, _, err = run("pull", source, "--locked", "-o", "tiny.h5")
     assert code == 1 and "datasets.lock has no entry tiny" in err and not Path("tiny.h5").exists()
+
+
+def test_what_a_kill_behind_the_last_rename_leaves_goes(
+    collected: Path, export: Path, tmp_path: Path, run: Run
+) -> None:
+    """A second name of the file, where the system has no renaming that replaces nothing."""
+    there, back, tree_back = tmp_path / "there", tmp_path / "x.h5", tmp_path / "set"
+    there.mkdir()
+    assert run("push", collected, f"{there}/")[0] == run("push", export, there / "set")[0] == 0
+    for source, target in ((there / collected.name, back), (there / "set", tree_back)):
+        assert run("pull", source, "-o", target)[0] == 0
+        (tmp_path / f"{target.name}.part.json").write_text("[]")
+    (tmp_path / "x.h5.part").hardlink_to(back)
+    (tmp_path / "y.h5.part.json").write_text("[]")
+    (tmp_path / "y.h5.part").hardlink_to(back)
+    for source, target in ((there / collected.name, back), (there / "set", tree_back)):
+        assert run("pull", source, "-o", target)[1].startswith("nothing to do")
+    assert run("pull", there / collected.name, "-o", tmp_path / "y.h5")[0] == 0
+    assert back.read_bytes() == collected.read_bytes()  # nothing was written into it
+    assert not list(tmp_path.glob("*.part*"))
+
+
+@pytest.mark.parametrize(
+    ("number", "text"), [(errno.ENOSPC, "there is full"), (errno.EROFS, "there is read-only")]
+)
+def test_a_disk_that_refuses_is_no_broken_connection(
+    collected: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch,
+    number: int, text: str,
+) -> None:  # fmt: skip
+    def refuse(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("mpdt.data.remote.place.put_file", refuse)
+    code, _, err = run("push", collected, tmp_path / "there/x.h5")
+    assert code == 1 and f"the disk {text}" in err and "connection" not in err

@@ -30,6 +30,14 @@ def test_slices_are_added_and_replaced(made):
         assert file["slices/few"].attrs["parent"] == made.content_hash
 
 
+def test_the_same_slice_again_leaves_every_byte(made):
+    add_slice(made.path, "few", [0, 3], {"episodes": 2})
+    before = made.path.read_bytes()
+    assert add_slice(made.path, "few", [0, 3], {"episodes": 2}).slices["few"].tolist() == [0, 3]
+    assert made.path.read_bytes() == before
+    assert add_slice(made.path, "few", [0, 3], {"top": 1}).slice_rules["few"] == {"top": 1}
+
+
 @pytest.mark.parametrize("ids", [[3, 0], [0, 0], [4], [-1], [[0]]])
 def test_slices_need_ascending_ids_inside_the_file(made, ids):
     before = made.path.read_bytes()

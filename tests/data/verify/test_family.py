@@ -109,6 +109,8 @@ def test_a_sound_family_passes(how: str) -> None:
         ("goal", "tasks", "reset: steps [1] is number 0 of the goal", {}),
         ("bounds", "stepping", "task left, step 2: a number of the observation is not", {}),
         ("", "tasks", "tasks left and right are the same", {"env": lambda task: Line(1.0)}),
+        ("", "tasks", "tasks right and far are the same",
+         {"env": lambda task: Line(-2.0 if task.name == "left" else 4.0)}),
         ("", "scripts", "script away, task left: returns -",
          {"scripts": {"away": lambda seen, goals: -there(seen, goals)}}),
         ("", "scripts", "script odd, task left, step 0: another answer",

@@ -177,8 +177,10 @@ def test_an_interrupted_call_goes_on(trained, made, tmp_path):
     done = rolled(trained, target)
     assert done.resumed_blocks == 1 and done.is_new
     assert target.read_bytes() == made.path.read_bytes() and [*tmp_path.iterdir()] == [target]
+    (PartsFolder(target).path / "blocks").mkdir(parents=True)  # killed just before it went
     again = rolled(trained, target)
     assert not again.is_new and again.reached == done.reached
+    assert [*tmp_path.iterdir()] == [target]
 
 
 def test_parts_of_another_call_are_refused(trained, tmp_path):

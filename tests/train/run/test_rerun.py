@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from mpdt.disk.holder import Holder
 from mpdt.errors import TrainingError
 from mpdt.train.fit.data import load_material
 from mpdt.train.run.config import TrainConfig
@@ -64,6 +65,8 @@ def test_judged_anew_is_judged_as_at_first(again, finished, capsys):
     folder, arguments = again
     assert call(*arguments, "--adapt.steps", 3, "-q") == 0
     shutil.rmtree(folder / "judged")
+    for phase in ("teacher", "student", "best"):  # killed before the checkpoints went
+        (folder / f"checkpoint-{phase}.safetensors").write_bytes(b"old")
     assert call(*arguments) == 0
     assert "trained already" in capsys.readouterr().err
     assert results_of(folder)["scores"] == results_of(finished)["scores"]
@@ -82,6 +85,18 @@ def test_an_earlier_judgement_is_kept_until_it_is_made_again(again, finished):
     assert call(*arguments, "-q") == 0
     (kept,) = (folder / "judged").iterdir()
     assert kept.read_bytes() == other
+
+
+def test_a_finished_run_is_swept(again, capsys):
+    """A process was killed between its last file and the end of its hold."""
+    folder, arguments = again
+    other = Holder.me()
+    (folder.parent / ".r.lock").write_bytes(other.encoded())
+    (folder / f".results.json.{other.token}.tmp").write_text("half")
+    assert call(*arguments) == 0
+    assert "this run is done" in capsys.readouterr().err
+    assert {path.name for path in folder.parent.iterdir()} == {"r"}
+    assert not list(folder.glob(".*"))
 
 
 class Pair:

@@ -3,10 +3,13 @@
 import copy
 import json
 import math
+import threading
+from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
 
+from mpdt.disk import holding
 from mpdt.errors import FormatError, UsageError
 from mpdt.train.cli import main
 from mpdt.train.evaluate.score import MEAN, Score, encode_results
@@ -42,6 +45,23 @@ def places(tiny_file, tmp_path):
     return Places(tiny_file.parent, tmp_path / "runs", tmp_path / "results")
 
 
+@contextmanager
+def held_elsewhere(path):
+    begun, over = threading.Event(), threading.Event()
+
+    def hold():
+        with holding(path):
+            begun.set()
+            over.wait(60)
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    assert begun.wait(60)
+    yield
+    over.set()
+    thread.join()
+
+
 def states(cells, places, restart=False):
     outcomes = run_study(cells, places, Progress(quiet=True), restart)
     return [(outcome.cell.name, outcome.state) for outcome in outcomes]
@@ -56,6 +76,9 @@ def test_cells_are_run_skipped_failed_and_left_out(places):
     assert stored == [
         "tiny.Soft-Prompt-TTA.s0.json", "tiny.short.s1.json", "tiny.short.s1.prompts.safetensors"
     ]  # fmt: skip
+    with held_elsewhere(places.runs / "tiny.other.s0"):
+        other = replace(ONE, label="other")
+        assert states([other, ONE], places) == [("tiny.other.s0", "busy"), (ONE.name, "done")]
     before = (places.runs / "tiny.short.s1/weights.safetensors").stat().st_mtime_ns
     assert [s for _, s in states([ONE, TWO], places)] == ["done", "done"]
     assert (places.runs / "tiny.short.s1/weights.safetensors").stat().st_mtime_ns == before
