@@ -185,7 +185,11 @@ def execute(command: Command, rest: list[str]) -> int:
         return submit_and_show(command)
     if isinstance(command, Completion):
         return _completion(command)
-    return _study(command) if isinstance(command, Study) else _report(command)
+    if isinstance(command, Study):
+        return _study(command)
+    from mpdt.train.report.show import show_report
+
+    return show_report(command)
 
 
 def _completion(command: Completion) -> int:
@@ -263,41 +267,6 @@ def _study(command: Study) -> int:
         return 1 if "failed" in states else BusyError.exit_code if "busy" in states else 0
 
     return until_stopped(body)
-
-
-def _report(command: Report) -> int:
-    from mpdt.errors import UsageError
-    from mpdt.train.report.study_tables import print_study
-    from mpdt.train.run.results import read_results
-    from mpdt.train.run.show import print_results
-    from mpdt.train.study.summary import is_study, read_cells, studies_in
-
-    if not command.folder.is_dir():
-        raise UsageError("no folder of a run or a study", where=str(command.folder),
-                         expected="a folder with results.json, or with cells of a study",
-                         hint="mpdt-train --data FILE makes a run; mpdt-data report FILE is for "
-                              "data")  # fmt: skip
-    if is_study(command.folder):
-        print_study(command.folder, command.output, command.json)
-        if command.html is not None:
-            from mpdt.train.report.page import study_content, write_result
-
-            studies = [study.name for study in studies_in(command.folder)]
-            content = study_content(read_cells(command.folder), command.folder.name, studies)
-            write_result(command.html, content)
-        return 0
-    results = read_results(command.folder)
-    print_results(results, command.json)
-    weights = command.folder / "weights.safetensors"
-    if command.output is not None and weights.exists():
-        from mpdt.train.report.pictures import draw_prompts
-
-        draw_prompts(weights, command.output)
-    if command.html is not None:
-        from mpdt.train.report.page import run_content, write_result
-
-        write_result(command.html, run_content(results, command.folder))
-    return 0
 
 
 def parse_settings(
