@@ -42,11 +42,16 @@ class Rung(msgspec.Struct, frozen=True):
 
 
 class NetworkRecord(msgspec.Struct, frozen=True):
-    """What is needed of `<name>.json`."""
+    """What is needed of `<name>.json`.
+
+    Args:
+        weights_sha256: of the arrays it tells of; records of before 2026-11-30 have none.
+    """
 
     robot: str
     reward: str
     rungs: list[Rung]
+    weights_sha256: str = ""
 
 
 @dataclass(frozen=True)
@@ -99,9 +104,14 @@ def load_network(name: str) -> Network:
     rungs = split_rungs(content, arrays)
     if len(rungs) != len(described.rungs):
         raise FormatError("weights and their record disagree", where=str(record),
-                          expected=f"{len(rungs)} rungs", found=str(len(described.rungs)),
-                          )  # fmt: skip
+                          expected=f"{len(rungs)} rungs",
+                          found=str(len(described.rungs)))  # fmt: skip
     digest = hashlib.sha256(content).hexdigest()
+    if described.weights_sha256 not in ("", digest):  # killed between the two, over older ones
+        raise FormatError("weights and their record are of two trainings", where=str(record),
+                          expected=f"weights of SHA-256 {described.weights_sha256[:16]}",
+                          found=digest[:16],
+                          hint="the same mpdt-data pretrain again writes both")  # fmt: skip
     return Network(described, rungs, (arrays.absolute(), digest) if is_own_network(name) else None)
 
 

@@ -12,6 +12,7 @@ and byte identity of a dataset is promised from the weights on.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from importlib import metadata
@@ -158,7 +159,9 @@ def _pretrain(
     arrays = {
         f"rung-{i:02d}/{key}": value for i, rung in enumerate(rungs) for key, value in rung.items()
     }
-    write_bytes(target, save(arrays))
+    content = save(arrays)
+    record["weights_sha256"] = hashlib.sha256(content).hexdigest()
+    write_bytes(target, content)
     write_bytes(record_path, (json.dumps(record, indent=1, sort_keys=True) + "\n").encode())
     return target
 

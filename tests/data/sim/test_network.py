@@ -184,6 +184,7 @@ def test_own_weights_that_are_none_are_one_clear_error(own: Path) -> None:
         ("{", "not the record"),
         (json.dumps(told | {"rungs": [{"train_step": "0", "levels": {}}]}), "not the record"),
         (json.dumps(told | {"rungs": rungs[:-1]}), "weights and their record disagree"),
+        (json.dumps(told | {"weights_sha256": "0" * 64}), "are of two trainings"),
         (json.dumps(told | {"rungs": [rung | {"levels": {}} for rung in rungs]}), "levels of a"),
     ):
         record.write_text(text)
