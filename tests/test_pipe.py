@@ -7,7 +7,6 @@ import os
 import shlex
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -17,7 +16,11 @@ RUN = "import sys; sys.argv[0] = 'prog'; from {} import main; sys.exit(main())"
 # More than a pipe holds, so that the write itself fails and not only the flush at the end.
 MUCH = "from mpdt.pipe import reader_may_leave\nwith reader_may_leave():\n    print('x' * 10**6)\n"
 
-STUDY = str(Path(__file__).parents[1] / "results/studies/depth")
+TABLE = (
+    "from mpdt.pipe import reader_may_leave, table_console\n"
+    "with reader_may_leave():\n    console = table_console(80)\n"
+    "    for _ in range(2000):\n        console.print('x' * 70)\n"
+)
 
 
 def closed_early(code: str, *words: str) -> subprocess.CompletedProcess[str]:
@@ -39,7 +42,7 @@ def closed_early(code: str, *words: str) -> subprocess.CompletedProcess[str]:
         (RUN.format("mpdt.data.cli"), ["--help"]),
         (RUN.format("mpdt.data.cli"), ["list"]),
         (RUN.format("mpdt.train.cli"), ["--help"]),
-        (RUN.format("mpdt.train.cli"), ["report", STUDY]),
+        (TABLE, []),
         (MUCH, []),
     ],
 )

@@ -418,12 +418,20 @@ def test_what_a_kill_behind_the_last_rename_leaves_goes(
         assert run("pull", source, "-o", target)[0] == 0
         (tmp_path / f"{target.name}.part.json").write_text("[]")
     (tmp_path / "x.h5.part").hardlink_to(back)
-    (tmp_path / "y.h5.part.json").write_text("[]")
+
+    def interrupt(name: str, done: int, size: int | None) -> None:
+        raise KeyboardInterrupt
+
+    other = tmp_path / "y.h5"
+    with pytest.raises(KeyboardInterrupt):
+        pull(str(there / collected.name), other, tell=interrupt)
+    (tmp_path / "y.h5.part").unlink()
     (tmp_path / "y.h5.part").hardlink_to(back)
     for source, target in ((there / collected.name, back), (there / "set", tree_back)):
         assert run("pull", source, "-o", target)[1].startswith("nothing to do")
-    assert run("pull", there / collected.name, "-o", tmp_path / "y.h5")[0] == 0
-    assert back.read_bytes() == collected.read_bytes()  # nothing was written into it
+    assert run("pull", there / collected.name, "-o", other)[0] == 0
+    assert back.read_bytes() == other.read_bytes() == collected.read_bytes()
+    assert not back.samefile(other)  # what is written into one would be in the other
     assert not list(tmp_path.glob("*.part*"))
 
 
