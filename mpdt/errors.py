@@ -51,7 +51,8 @@ class MpdtError(Exception):
     def message(self) -> str:
         """One line: `where: what; expected E, found F`, with nothing a terminal would obey."""
         heading, *lines = map(str.strip, _shown(self.what).splitlines() or [""])
-        return self._text(f"{heading}: {'; '.join(lines)}" if lines else heading)
+        told = "; ".join(filter(None, lines))
+        return self._text(f"{heading.rstrip(':')}: {told}" if told else heading)
 
     def _text(self, what: str) -> str:
         line = f"{_shown(self.where)}: {what}" if self.where else what

@@ -29,6 +29,7 @@ _KINDS = {
 MAX_NESTING = 50
 """Of JSON; ours is ten deep."""
 HEAD_BYTES = 512
+_WRITTEN = {"output", "html", "png", "mp4", "markdown", "keep", "board"}
 _ANOTHER = "take another copy of it"
 _UNPACK, _FETCH = "unpack it first", "fetch the file itself first"
 _HEADS: tuple[tuple[bytes, str, str], ...] = (
@@ -69,19 +70,21 @@ def refuse_folder_names(words: Sequence[str], command: type) -> None:
 
     Args:
         words: as typed behind the command.
-        command: its options; those that write a file have the metavar FILE or HTML.
+        command: its options; those of `_WRITTEN` are a file's, unless they say FOLDER or PATH.
 
     Raises: UsageError.
     """
     hints = get_type_hints(command, include_extras=True)
     known = [(name, one) for name in hints for one in getattr(hints[name], "__metadata__", ())]
     files = {
-        option for name, one in known if getattr(one, "metavar", None) in ("FILE", "HTML")
+        option for name, one in known
+        if name in _WRITTEN and getattr(one, "metavar", None) in ("FILE", "HTML")
         for option in (f"--{name.replace('_', '-')}", *(one.aliases or ()))
     }  # fmt: skip
     pairs = [*pairwise(words), *(tuple(word.split("=", 1)) for word in words if "=" in word)]
+    pairs += [(word[:2], word[2:]) for word in words if not word.startswith("--")]
     for option, value in pairs:
-        if option in files and value.endswith("/"):
+        if option in files and value.endswith(("/", "/.")):
             raise UsageError(
                 "the name of a folder, and a file is to be written",
                 where=f"{option} {value}",

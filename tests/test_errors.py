@@ -59,6 +59,7 @@ def test_several_lines_are_one_where_only_a_line_is_shown() -> None:
     error = DataError(Lines.of("2 mistakes", "a", "b"), where="x.yaml")
     assert str(error) == "x.yaml: 2 mistakes\n  a\n  b" and str(error) in error.render()
     assert error.message() == "x.yaml: 2 mistakes: a; b"
+    assert DataError(Lines.of("not so:", "a", "", "b")).message() == "not so: a; b"
 
 
 def test_unknown_name_offers_the_nearest() -> None:

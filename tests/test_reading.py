@@ -125,6 +125,8 @@ def test_a_file_of_json_holds_an_object(tmp_path: Path) -> None:
         (main, "split x.h5 --quality medium -o d/"),
         (main, "plan ml10 --output=d/"),
         (main, "report x.h5 -o d/"),
+        (main, "split x.h5 --quality medium -od/."),
+        (train, "submit x --board d/"),
         (train, "rollout x -o d/"),
         (train, "report x --html d/"),
         (train, "evaluate x --keep d/"),
@@ -140,7 +142,7 @@ def test_a_folder_in_the_place_of_a_file_to_write(
     except SystemExit as stop:
         code = stop.code  # type: ignore[assignment]
     assert code == 2 and not list(tmp_path.iterdir())
-    assert "d/: the name of a folder, and a file is to be written" in capsys.readouterr().err
+    assert ": the name of a folder, and a file is to be written" in capsys.readouterr().err
 
 
 def test_a_folder_may_be_named_as_one(
@@ -149,3 +151,7 @@ def test_a_folder_may_be_named_as_one(
     monkeypatch.chdir(tmp_path)
     assert main(["export", "x.h5", "--to", "npz", "-o", "d/"]) == 2
     assert "x.h5: no such file" in capsys.readouterr().err
+    for words in ("bundle x -o d/ --data parts/", "submit x --lock d/"):
+        with pytest.raises(SystemExit):
+            train(words.split())
+        assert "and a file is to be written" not in capsys.readouterr().err

@@ -182,7 +182,9 @@ def _take(
             if is_mine:
                 os.write(handle, me.encoded())
         except BaseException:  # a full disk, a signal
-            _unlink_own(lock, handle)
+            with suppress(OSError):
+                if _flock(handle, lock) is not False:  # else another process is at it
+                    _unlink_own(lock, handle)
             os.close(handle)
             raise
         if is_mine:

@@ -10,12 +10,12 @@ import errno
 import os
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mpdt.disk.content import sync, sync_tree
-from mpdt.disk.hold import Seen, holding, written_meanwhile
+from mpdt.disk.hold import Hold, Seen, holding, written_meanwhile
 from mpdt.disk.refusal import disk
 from mpdt.errors import StorageError
 
@@ -42,17 +42,9 @@ def replacing(target: Path, *, amends: bool = False, like: bytes = b"") -> Itera
     """
     with holding(target, amends=amends) as hold:
         _check_kind(hold.path, target, like)
-        temporary = hold.temporary
-        try:
-            with disk(target):
-                flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-                os.close(os.open(temporary, flags, 0o666))
+        with _beside(hold, target, _make_file, _remove_file) as temporary:
             yield temporary
             put_file(temporary, target)
-        except BaseException:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
-            raise
 
 
 @contextmanager
@@ -64,15 +56,47 @@ def appearing(target: Path) -> Iterator[Path]:
     with holding(target) as hold:
         if hold.found is not None:
             raise written_meanwhile(target)
-        temporary = hold.temporary
-        try:
+        with _beside(hold, target, Path.mkdir, _remove_folder) as temporary:
             with disk(target):
-                temporary.mkdir()
                 yield temporary
             put_folder(temporary, target)
-        except BaseException:
-            shutil.rmtree(temporary, ignore_errors=True)
-            raise
+
+
+@contextmanager
+def _beside(
+    hold: Hold, target: Path, make: Callable[[Path], None], remove: Callable[[Path], None]
+) -> Iterator[Path]:
+    """The name beside the target, made here and gone on any exception, whenever that comes.
+
+    One that is there already is of a call around this one, and stays.
+    """
+    is_ours = True
+    try:
+        with disk(target):
+            try:
+                make(hold.temporary)
+            except FileExistsError:
+                is_ours = False
+                raise
+        yield hold.temporary
+    except BaseException:
+        if is_ours:
+            remove(hold.temporary)
+        raise
+
+
+def _make_file(path: Path) -> None:
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    os.close(os.open(path, flags, 0o666))
+
+
+def _remove_file(path: Path) -> None:
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+def _remove_folder(path: Path) -> None:
+    shutil.rmtree(path, ignore_errors=True)
 
 
 def write_bytes(
@@ -90,10 +114,8 @@ def check_replaceable(target: Path, like: bytes = b"") -> None:
     """
     with holding(target, amends=True) as hold, disk(target):
         _check_kind(hold.path, target, like)
-        try:
-            hold.temporary.touch(exist_ok=False)
-        finally:
-            hold.temporary.unlink(missing_ok=True)
+        with _beside(hold, target, _make_file, _remove_file) as temporary:
+            temporary.unlink()
 
 
 def _check_kind(path: Path, target: Path, like: bytes) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from mpdt.data.remote.address import revealed
+from mpdt.data.remote.address import hide, revealed
 from mpdt.errors import UsageError, visible
 from mpdt.train.options import PROG
 from mpdt.train.policy_options import (
@@ -39,7 +39,7 @@ def until_stopped(body: Callable[[StopRequest], int]) -> int:
             return body(stop)
     except Stopped as stopped:
         sys.stderr.write(f"\n{stopped}; saved. Continue with the same command:\n")
-        given = [word for word in sys.argv[1:] if word != "--restart"]
+        given = [word for word in hide(sys.argv[1:]) if word != "--restart"]
         sys.stderr.write(visible(f"  {PROG} {shlex.join(given)}") + "\n")
         return stopped.exit_code
 

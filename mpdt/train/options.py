@@ -191,7 +191,7 @@ class Submit:
 
     results: tyro.conf.Positional[tuple[Path, ...]]
     """Folders of runs, or files with a result."""
-    board: Path = Path("leaderboard.csv")
+    board: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("leaderboard.csv")
     """The leaderboard; begun if it is not there."""
     lock: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """The lock that has to hold the data; default: datasets.lock beside datasets.yaml."""

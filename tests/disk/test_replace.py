@@ -218,10 +218,7 @@ def test_a_signal_behind_the_first_moment_leaves_nothing(tmp_path, monkeypatch, 
 
         return after
 
-    if end == "is tried":
-        monkeypatch.setattr(Path, "touch", signalled(Path.touch))
-    else:
-        monkeypatch.setattr(replace.os, "close", signalled(os.close))
+    monkeypatch.setattr(replace, "_make_file", signalled(replace._make_file))
     with pytest.raises(KeyboardInterrupt):
         if end == "is tried":
             check_replaceable(tmp_path / "x")
@@ -229,6 +226,16 @@ def test_a_signal_behind_the_first_moment_leaves_nothing(tmp_path, monkeypatch, 
             write_bytes(tmp_path / "x", b"new")
     monkeypatch.undo()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_call_within_another_leaves_its_file(tmp_path):
+    with replacing(tmp_path / "x") as temporary:
+        for inner in (lambda: write_bytes(tmp_path / "x", b"inner"),
+                      lambda: check_replaceable(tmp_path / "x")):  # fmt: skip
+            with pytest.raises(StorageError):
+                inner()
+        temporary.write_text("outer")
+    assert (tmp_path / "x").read_text() == "outer"
 
 
 def test_several_files_in_one_hold_are_no_change_by_others(tmp_path):

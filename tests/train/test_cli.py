@@ -273,4 +273,6 @@ def test_a_short_command_that_is_ended_cleans_up(finished, tmp_path, monkeypatch
         main(["report", str(finished), "--html", str(tmp_path / "x.html")])
     assert end.value.code == code and not list(tmp_path.iterdir())
     error = capsys.readouterr().err
-    assert error.startswith("interrupted; go on with: mpdt-train report ") and "\n" in error
+    assert (
+        error.startswith("interrupted; go on with: mpdt-train report ") and error.count("\n") == 1
+    )

@@ -29,9 +29,10 @@ from mpdt.data.store import provenance
 from mpdt.data.store.amend import add_tta
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.layout import checked_name
+from mpdt.data.store.proof import check_digests
 from mpdt.data.store.reader import open_dataset
 from mpdt.disk import holding
-from mpdt.errors import DataError, UsageError
+from mpdt.errors import DataError, FormatError, UsageError
 
 
 @dataclass(frozen=True)
@@ -101,8 +102,8 @@ def add_set(
     folder = PartsFolder(path.with_name(f"{path.name}.tta-{name}"))
     if name in dataset.tta and not overwrite:
         _check_same(dataset, name, plan, source.rule, source.preset_returns)
-        if not restart:
-            folder.forget()
+        if not restart and _is_whole(dataset, name):
+            folder.forget(describe_plan(plan))
             return Added(dataset, _version_warnings(dataset), is_new=False)
     check_space(plan, folder.target)
     with folder.locked():
@@ -125,6 +126,15 @@ def add_set(
             done = add_tta(path, name, source)
         folder.delete()
     return Added(done, _version_warnings(dataset))
+
+
+def _is_whole(dataset: Dataset, name: str) -> bool:
+    """Whether the set's own bytes have its digests; one that is damaged is made again."""
+    try:
+        check_digests(dataset, sets=[name], ids=np.zeros(0, np.int64))
+    except FormatError:
+        return False
+    return True
 
 
 def _episodes(folder: PartsFolder, blocks: Sequence[Block]) -> Iterator[Episode]:

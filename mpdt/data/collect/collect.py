@@ -115,7 +115,7 @@ def _collect(
 ) -> Collected:
     plan, folder = job.plan, PartsFolder(target)
     if not restart and (finished := find_finished(job, target)):
-        folder.forget()
+        folder.forget(describe_plan(plan))
         return Collected(finished, is_new=False)
     check_space(plan, target)
     with folder.locked(), folder.kept_if_worth():

@@ -75,8 +75,7 @@ class PartsFolder:
         Raises: DataError naming the keys that changed.
         """
         path = self.path / "plan.json"
-        # A round trip, so that tuples and lists compare equal.
-        plan = json.loads(json.dumps(plan))
+        plan = _as_json(plan)
         found = self._read_plan()
         if found is None:
             if any((self.path / "blocks").iterdir()):
@@ -102,10 +101,14 @@ class PartsFolder:
             (self.path / "blocks").mkdir()
             (self.path / "plan.json").unlink(missing_ok=True)
 
-    def forget(self) -> None:
-        """Delete what somebody left who was killed between a whole file and that; no error."""
+    def forget(self, plan: dict[str, Any]) -> None:
+        """Delete what somebody left who was killed between a whole file and that; no error.
+
+        Args:
+            plan: of that file. Blocks of another one stay: whoever was interrupted goes on there.
+        """
         with suppress(BusyError, StorageError), holding(self.target, amends=True, wait_s=0):
-            if self.path.is_dir():
+            if self.path.is_dir() and self._read_plan() in (None, _as_json(plan)):
                 self.delete()
 
     @contextmanager
@@ -250,3 +253,8 @@ def _bytes_rows(digests: Sequence[bytes]) -> npt.NDArray[np.uint8]:
 
 def _returns_digest(block: Block, returns: npt.NDArray[np.float64], policy: bytes) -> bytes:
     return hashlib.sha256(block.label.encode() + b"\0" + policy + returns.tobytes()).digest()
+
+
+def _as_json(plan: dict[str, Any]) -> Any:
+    """A round trip, so that tuples and lists compare equal."""
+    return json.loads(json.dumps(plan))

@@ -138,7 +138,7 @@ def roll_out_to(
     job, folder = asked.job(), PartsFolder(target)
     check_replaceable(target)
     if not restart and (finished := _finished(asked, target)):
-        folder.forget()
+        folder.forget(_told(asked, job, versions))
         return RolledOut(finished, False, _reached_in(finished))
     check_space(job.plan, target)
     with folder.locked():
@@ -147,9 +147,7 @@ def roll_out_to(
         elif finished := _finished(asked, target):  # by another process, meanwhile
             folder.delete()
             return RolledOut(finished, False, _reached_in(finished))
-        plan = describe_plan(job.plan)
-        told = {"rule": asked.rule, "from": asked.origin.content_hash}
-        folder.agree(plan | told | {"versions": plan["versions"] | dict(versions or {})})
+        folder.agree(_told(asked, job, versions))
         reports, resumed = run_missing(
             job, folder, Processes(workers), on_progress or (lambda _: None)
         )
@@ -157,6 +155,13 @@ def roll_out_to(
         dataset = pack(job.plan, folder, reports, _header(asked, job, reached), {})
         folder.delete()
     return RolledOut(dataset, True, _reached_in(dataset), resumed)
+
+
+def _told(asked: RollOuts, job: Job, versions: Mapping[str, str] | None) -> dict[str, Any]:
+    """What finished blocks depend on."""
+    plan = describe_plan(job.plan)
+    told = {"rule": asked.rule, "from": asked.origin.content_hash}
+    return plan | told | {"versions": plan["versions"] | dict(versions or {})}
 
 
 def _header(asked: RollOuts, job: Job, reached: Mapping[int, Reached]) -> FileHeader:

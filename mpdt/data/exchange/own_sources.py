@@ -13,11 +13,13 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from mpdt.data.episode import QUALITY_CODES
 from mpdt.data.exchange import d4rl, flat_npz, hdf5, lerobot_rows, lerobot_tree, minari_in
@@ -227,10 +229,9 @@ def _lerobot(paths: Sequence[Path], asked: Asked) -> tuple[list[Found], list[str
         _check_columns(tree, states, by)
         wanted = lerobot_tree.wanted_of(tree, states, by)
         columns, folder = _named_columns(tree, states), tree.folder.absolute().name
-        before, parts = _common_family(tree), [*lerobot_tree.by_task(tree, wanted)]
-        digits = _digits({label for _, label in parts if not isinstance(label, str)})
-        for path, label in parts:
-            task = "" if asked.task is not None else _said(tree, label, by, before, digits)
+        before = _common_family(tree)
+        for path, label in lerobot_tree.by_task(tree, wanted):
+            task = "" if asked.task is not None else _said(tree, label, by, before)
             read = partial(lerobot_tree.episodes, path, wanted, label)
             step_s = 1 / tree.fps if tree.fps else 0.0
             notes = {"states": list(states), "tasks_from": by}
@@ -279,18 +280,19 @@ def _common_family(tree: lerobot_tree.Tree) -> str:
     return before if all(text.startswith(before) for text in tree.texts.values()) else ""
 
 
-def _digits(numbers: Collection[float]) -> int:
-    """As few as tell these numbers apart; 17 are exact."""
-    return next((n for n in (6, 9) if len({f"{x:.{n}g}" for x in numbers}) == len(numbers)), 17)
+def _spelled(number: float) -> str:
+    """As short as names this number and no other: 0.1 of a float32 column is 0.1."""
+    if isinstance(number, int) or number.is_integer():
+        return str(int(number))
+    single = np.float32(number)
+    return str(single) if float(single) == number else repr(number)
 
 
-def _said(
-    tree: lerobot_tree.Tree, label: lerobot_rows.Label, by: str, before: str, digits: int
-) -> str:
+def _said(tree: lerobot_tree.Tree, label: lerobot_rows.Label, by: str, before: str) -> str:
     """What names a task: the text of its number, or what stands in a column."""
     if by == lerobot_rows.TASK:
         return tree.text_of(label).removeprefix(before)
-    return label if isinstance(label, str) else f"{by.rpartition('.')[2]}_{label:.{digits}g}"
+    return label if isinstance(label, str) else f"{by.rpartition('.')[2]}_{_spelled(label)}"
 
 
 _SOURCES = {"minari": _minari, "d4rl": _flat, "npz": _npz, "lerobot": _lerobot}

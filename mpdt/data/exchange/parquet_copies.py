@@ -72,7 +72,10 @@ def check_copy(path: Path, header: FileHeader) -> None:
     with pq.ParquetFile(path) as file:
         names = [name for name in ours.column_names if name in file.schema_arrow.names]
         sizes = [file.metadata.row_group(i).total_byte_size for i in range(file.num_row_groups)]
-        is_table = file.metadata.num_rows == len(ours) and sum(sizes) <= _MOST_BYTES
+        if sum(sizes) > _MOST_BYTES:
+            raise FormatError("larger than what it repeats can be", where=str(path),
+                              found=f"{sum(sizes):,} bytes", hint=AGAIN)  # fmt: skip
+        is_table = file.metadata.num_rows == len(ours)
         found = file.read(columns=names, use_threads=False) if is_table else None
     for name in names:
         if found is None or _cells(found, name) != _cells(ours, name):

@@ -83,7 +83,8 @@ def pretrain(
     with disk(work):
         work.mkdir(parents=True, exist_ok=True)
     with holding(work, amends=True, wait_s=0, kept="snapshots are kept"):
-        if not resume:
+        begun = any((work / name).exists() for name in (CHECKPOINT, *PICKLES))
+        if not resume or not begun:  # a clearing that was ended halfway goes on
             _clear(work)
         for path in (target, record_path, work / CHECKPOINT):
             check_replaceable(path)
@@ -109,12 +110,14 @@ def _own(name: str) -> Family | None:
 
 
 def _clear(work: Path) -> None:
-    """Delete what earlier sessions left, and nothing else. Raises: StorageError."""
+    """Delete what earlier sessions left, and nothing else; the checkpoint first, without which
+    nobody goes on from the rest. Raises: StorageError.
+    """
     with disk(work):
+        for name in (CHECKPOINT, *PICKLES, JUDGED, "curve.json"):
+            (work / name).unlink(missing_ok=True)
         for path in work.glob("[0-9]*.safetensors"):
             path.unlink()
-        for name in (CHECKPOINT, JUDGED, *PICKLES, "curve.json"):
-            (work / name).unlink(missing_ok=True)
 
 
 def _pretrain(

@@ -82,7 +82,7 @@ class Tta(Options):
         added = done.dataset.tta[self.name]
         self.print(
             {**planned, "steps": int(added.length.sum()), "content_hash": added.content_hash,
-             "warnings": done.warnings},
+             "warnings": done.warnings, "is_new": done.is_new},
             f"{'added' if done.is_new else 'there already'}   {self.file}   set {self.name}   "
             f"{len(added):,} episodes   "
             f"content {added.content_hash[:8]}",

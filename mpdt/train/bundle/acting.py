@@ -212,7 +212,10 @@ def _floats(values: ArrayLike, what: str, where: str, expected: str) -> NDArray[
     """A copy as float32; numpy would read text as well. Raises: ShapeError."""
     try:
         found = np.array(values)
-        if found.dtype.kind not in "biufO":
+        is_text = found.dtype.kind in "SUmM" or any(
+            isinstance(one, str | bytes) for one in (found.flat if found.dtype == object else ())
+        )
+        if is_text or np.iscomplexobj(found):
             raise TypeError(f"an array of {found.dtype}")
         return found.astype(np.float32)
     except (TypeError, ValueError) as error:

@@ -21,17 +21,17 @@ def show_report(command: Report) -> int:
                          expected="a folder with results.json, or with cells of a study",
                          hint="mpdt-train --data FILE makes a run; mpdt-data report FILE is for "
                               "data")  # fmt: skip
+    # Files first: whoever reads the tables may leave before their end.
     if is_study(command.folder):
-        print_study(command.folder, command.output, command.json)
         if command.html is not None:
             from mpdt.train.report.page import study_content, write_result
 
             studies = [study.name for study in studies_in(command.folder)]
             content = study_content(read_cells(command.folder), command.folder.name, studies)
             write_result(command.html, content)
+        print_study(command.folder, command.output, command.json)
         return 0
     results = read_results(command.folder)
-    print_results(results, command.json)
     weights = command.folder / "weights.safetensors"
     if command.output is not None and weights.exists():
         from mpdt.train.report.pictures import draw_prompts
@@ -41,4 +41,5 @@ def show_report(command: Report) -> int:
         from mpdt.train.report.page import run_content, write_result
 
         write_result(command.html, run_content(results, command.folder))
+    print_results(results, command.json)
     return 0

@@ -33,15 +33,9 @@ def report_tables(cells: Sequence[CellResult], studies: Sequence[str]) -> list[T
 def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
     """Tables on stdout (or the cells as JSON); with `output` also as files and pictures."""
     cells = read_cells(folder)
-    if as_json:
-        sys.stdout.write(json.dumps([cell.content for cell in cells]) + "\n")
-        return
     studies = [study.name for study in studies_in(folder)]
     tables = report_tables(cells, studies)
-    console = table_console(WIDTH_WITHOUT_TERMINAL)
-    for table in rich_tables(tables):
-        console.print(table)
-    if output is not None:
+    if output is not None:  # before anything is printed, whose reader may leave
         from mpdt.train.report.pictures import draw_kept_prompts, draw_study
 
         with disk(output):
@@ -52,3 +46,9 @@ def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
         draw_study(cells, output)
         for study in studies_in(folder):
             draw_kept_prompts(cells, study, output)
+    if as_json:
+        sys.stdout.write(json.dumps([cell.content for cell in cells]) + "\n")
+        return
+    console = table_console(WIDTH_WITHOUT_TERMINAL)
+    for table in rich_tables(tables):
+        console.print(table)

@@ -75,11 +75,11 @@ def look(path: Path) -> Look:
     for record in folder.log.records():
         if record["phase"] in losses:
             losses[record["phase"]].append((record["step"], record["action_loss"]))
+    writer = writer_of(path)  # before the results: it may end in between
     try:
         results = read_results(path)
     except MissingFileError:
         results = None
-    writer = writer_of(path)
     state: State = "done"
     if writer is not None:
         state = "judging" if folder.weights.exists() else "training"

@@ -135,7 +135,7 @@ def run_study(
             try:
                 _run_cell(cell, prepared, places, progress, restart)
                 outcome = Outcome(cell, "done")
-            except BusyError as error:  # another study's, which does it
+            except BusyError as error:  # another process has what it writes
                 outcome = Outcome(cell, "busy", error.message())
             except MpdtError as error:
                 progress.say(error.render())

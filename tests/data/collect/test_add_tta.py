@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
+import h5py
 import msgspec
 import pytest
 
@@ -196,3 +198,16 @@ def test_the_same_set_again_leaves_every_byte_and_simulates_nothing(
     monkeypatch.setattr(tta, "run_missing", None)
     assert not added(tiny_file, "wide", WIDE).is_new
     assert tiny_file.read_bytes() == before and not left.exists()
+
+
+def test_a_damaged_set_is_made_again_and_blocks_of_another_stay(tiny_file: Path) -> None:
+    added(tiny_file, "wide", WIDE)
+    left = PartsFolder(tiny_file.with_name("tiny.h5.tta-wide"))
+    with left.locked():
+        left.agree({"another": "plan"})  # of a set with --overwrite that was interrupted
+    assert not added(tiny_file, "wide", WIDE).is_new and left.path.is_dir()
+    shutil.rmtree(left.path)
+    with h5py.File(tiny_file, "r+") as file:
+        file["tta/wide/steps/actions"][0] = 5
+    assert added(tiny_file, "wide", WIDE).is_new
+    check_digests(open_dataset(tiny_file), sets=["wide"])

@@ -235,3 +235,14 @@ def test_a_disk_that_fills_up_on_the_way_is_one_clear_error(
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(StorageError, match="the disk is full"):
         pretrain("cheetah_dir", steps=800, output=tmp_path)
+
+
+def test_a_clearing_that_was_ended_halfway_is_gone_on_with(tiny: None, tmp_path: Path) -> None:
+    """Without a checkpoint, what else lies there is of an earlier run."""
+    pretrain("cheetah_dir", steps=800, output=tmp_path)
+    work = tmp_path / "cheetah_dir.pretrain"
+    stale = work / "judged.json"
+    (work / "checkpoint.safetensors").unlink()
+    stale.write_text(stale.read_text().replace("forward", "forwards"))
+    pretrain("cheetah_dir", steps=800, output=tmp_path, seed=1)
+    assert "forwards" not in stale.read_text()

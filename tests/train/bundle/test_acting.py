@@ -152,7 +152,8 @@ def test_a_vector_environment(bundle, policy):
 def test_mistakes(policy):
     with pytest.raises(ShapeError, match="observations of this family"):
         policy.act(np.zeros(19))
-    for no_numbers in ("abc", np.zeros(20, complex), ["1"] * 20, [[1], [2, 3]]):
+    for no_numbers in ("abc", np.zeros(20, complex), ["1"] * 20, [[1], [2, 3]],
+                       np.array(["1"] + [2] * 19, object)):  # fmt: skip
         with pytest.raises(ShapeError, match="an observation is an array of numbers"):
             policy.act(no_numbers)
     policy.act(np.zeros(20))

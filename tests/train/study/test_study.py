@@ -57,9 +57,11 @@ def held_elsewhere(path):
     thread = threading.Thread(target=hold)
     thread.start()
     assert begun.wait(60)
-    yield
-    over.set()
-    thread.join()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def states(cells, places, restart=False):
