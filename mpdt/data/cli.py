@@ -39,7 +39,6 @@ from mpdt.data.workers.processes import pin_kernel
 from mpdt.errors import MpdtError, UsageError, told, unknown_name, visible
 from mpdt.interruption import Interrupted, interruptible
 from mpdt.pipe import reader_may_leave
-from mpdt.reading import refuse_folder_names
 
 VERBS: dict[str, type[Options]] = {
     "list": List,
@@ -122,6 +121,8 @@ def _parse(words: Sequence[str]) -> Options:
         os.environ["NO_COLOR"] = "1"
     # Only the verb that was typed: building the parsers of all of them takes a while.
     verb = VERBS[words[0]]
+    from mpdt.reading import refuse_folder_names
+
     refuse_folder_names(words[1:], verb)
     parsed: Options = tyro.cli(
         verb,

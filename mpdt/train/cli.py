@@ -41,7 +41,6 @@ from mpdt.data.remote.address import hide
 from mpdt.errors import BusyError, MpdtError, told, visible
 from mpdt.interruption import Interrupted, interruptible
 from mpdt.pipe import reader_may_leave
-from mpdt.reading import refuse_folder_names
 from mpdt.train.acting import bundle, judge, judge_others, roll_out, travel, until_stopped
 from mpdt.train.options import (
     COMMANDS,
@@ -119,6 +118,8 @@ def parse(verb: str, arguments: list[str]) -> tuple[Command, list[str]]:
         from mpdt.errors import unknown_name
 
         raise unknown_name("command", verb, COMMANDS, where=PROG)
+    from mpdt.reading import refuse_folder_names
+
     refuse_folder_names(arguments, COMMANDS[verb])
     is_run = verb == "run"
     command, rest = tyro.cli(
