@@ -26,16 +26,18 @@ def check_tta(material: Material) -> Finding:
     data = material.dataset
     if not data.tta:
         return nothing(ID, "no sets")
-    faults: list[Fault] = []
-    for name, tta in data.tta.items():
-        faults += _number_faults(name, tta)
-        faults += _order_faults(name, tta)
+    found = {
+        name: [*_number_faults(name, tta), *_order_faults(name, tta)]
+        for name, tta in data.tta.items()
+    }
+    faults = [one for some in found.values() for one in some]
+    wrong = next((name for name, some in found.items() if some), next(iter(found)))
     for (name, one), (other, two) in combinations(data.tta.items(), 2):
         if dict(one.rule) == dict(two.rule):
             faults += _nesting_faults(f"{name} and {other}", one, two)
     shown = ", ".join(f"{name}: {len(tta):,} episodes" for name, tta in data.tta.items())
-    first = next(iter(data.tta))
-    hint = f"mpdt-data tta {quoted(material.path)} --name {quoted(first)} makes the set again"
+    hint = (f"mpdt-data tta {quoted(material.path)} --name {quoted(wrong)} --overwrite makes the "
+            "set again")  # fmt: skip
     return judge(ID, faults, f"{shown}; actions uniform, sets nested", hint)
 
 

@@ -26,6 +26,7 @@ from mpdt.data.spec.entry import DatasetSpec, TtaRule
 from mpdt.data.spec.goals import GoalSet
 from mpdt.data.store.reader import open_dataset, open_tta_rewards
 from mpdt.data.store.writer import check_digests
+from mpdt.data.verify.verify import verify
 from mpdt.errors import DataError, SpecError, UsageError
 
 Fakes = Callable[..., None]
@@ -209,5 +210,7 @@ def test_a_damaged_set_is_made_again_and_blocks_of_another_stay(tiny_file: Path)
     shutil.rmtree(left.path)
     with h5py.File(tiny_file, "r+") as file:
         file["tta/wide/steps/actions"][0] = 5
+    (found,) = (one for one in verify(tiny_file, only=("tta",)).findings if one.id == "tta")
+    assert "--name wide --overwrite" in found.hint
     assert added(tiny_file, "wide", WIDE).is_new
     check_digests(open_dataset(tiny_file), sets=["wide"])
