@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Collection, Sequence
-from itertools import pairwise
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any, BinaryIO, get_type_hints
+from typing import Any, BinaryIO
 
 import msgspec
 
-from mpdt.errors import FormatError, MissingFileError, StorageError, UsageError
+from mpdt.errors import FormatError, MissingFileError, StorageError
 
 TEXT_BYTES = 64 << 20
 """Of a file of text; the lock of 500 tasks has 1 MB."""
@@ -29,7 +28,6 @@ _KINDS = {
 MAX_NESTING = 50
 """Of JSON; ours is ten deep."""
 HEAD_BYTES = 512
-_WRITTEN = {"output", "html", "png", "mp4", "markdown", "keep", "board"}
 _ANOTHER = "take another copy of it"
 _UNPACK, _FETCH = "unpack it first", "fetch the file itself first"
 _HEADS: tuple[tuple[bytes, str, str], ...] = (
@@ -63,33 +61,6 @@ def refuse_special(path: Path) -> os.stat_result:
         raise StorageError("cannot be opened", where=str(path), found=str(error)) from error
     _refuse(path, found)
     return found
-
-
-def refuse_folder_names(words: Sequence[str], command: type) -> None:
-    """A slash at the end of what is to be a file; `Path` drops it and a file would lie there.
-
-    Args:
-        words: as typed behind the command.
-        command: its options; those of `_WRITTEN` are a file's, unless they say FOLDER or PATH.
-
-    Raises: UsageError.
-    """
-    hints = get_type_hints(command, include_extras=True)
-    known = [(name, one) for name in hints for one in getattr(hints[name], "__metadata__", ())]
-    files = {
-        option for name, one in known
-        if name in _WRITTEN and getattr(one, "metavar", None) in ("FILE", "HTML")
-        for option in (f"--{name.replace('_', '-')}", *(one.aliases or ()))
-    }  # fmt: skip
-    pairs = [*pairwise(words), *(tuple(word.split("=", 1)) for word in words if "=" in word)]
-    pairs += [(word[:2], word[2:]) for word in words if not word.startswith("--")]
-    for option, value in pairs:
-        if option in files and value.endswith(("/", "/.")):
-            raise UsageError(
-                "the name of a folder, and a file is to be written",
-                where=f"{option} {value}",
-                hint="put the file's name behind it",
-            )
 
 
 def missing(path: Path, what: str = "no such file") -> MissingFileError:

@@ -21,6 +21,7 @@ from itertools import pairwise
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 
+from mpdt.argument import refuse_folder_names
 from mpdt.data.remote.address import hide
 from mpdt.data.verbs.adding import Tta
 from mpdt.data.verbs.completion import Shell, completion_script, verb_lines
@@ -121,8 +122,6 @@ def _parse(words: Sequence[str]) -> Options:
         os.environ["NO_COLOR"] = "1"
     # Only the verb that was typed: building the parsers of all of them takes a while.
     verb = VERBS[words[0]]
-    from mpdt.reading import refuse_folder_names
-
     refuse_folder_names(words[1:], verb)
     parsed: Options = tyro.cli(
         verb,

@@ -37,6 +37,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from mpdt.argument import refuse_folder_names
 from mpdt.data.remote.address import hide
 from mpdt.errors import BusyError, MpdtError, told, visible
 from mpdt.interruption import Interrupted, interruptible
@@ -118,8 +119,6 @@ def parse(verb: str, arguments: list[str]) -> tuple[Command, list[str]]:
         from mpdt.errors import unknown_name
 
         raise unknown_name("command", verb, COMMANDS, where=PROG)
-    from mpdt.reading import refuse_folder_names
-
     refuse_folder_names(arguments, COMMANDS[verb])
     is_run = verb == "run"
     command, rest = tyro.cli(
