@@ -183,7 +183,7 @@ def _train(
         from stable_baselines3.common.vec_env import VecNormalize
 
         from mpdt.data.sim.sac import train_sac
-        from mpdt.data.sim.snapshots import Snapshots, learning
+        from mpdt.data.sim.snapshots import Snapshots, drop_later, learning
         from mpdt.data.sim.vecenv import FamilyVecEnv
     except ImportError as error:
         raise SimulatorError(
@@ -206,6 +206,7 @@ def _train(
     if kept:
         restore(model, *kept, work / CHECKPOINT)
         say(f"resuming at step {model.num_timesteps}")
+        drop_later(work, int(model.num_timesteps))
     snapshots = Snapshots(work, run, curve, total, max(1, total // settings.snapshots), say,
                           settings.early)  # fmt: skip
     remaining = total - int(model.num_timesteps)

@@ -22,11 +22,10 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
 from mpdt.data.sim.checkpoint import NAME, Point, load_checkpoint, restore
-from mpdt.data.sim.snapshots import Snapshots, learning
+from mpdt.data.sim.snapshots import Snapshots, drop_later, learning
 from mpdt.data.sim.vecenv import FamilyVecEnv
 from mpdt.data.spec.family import Family
 from mpdt.data.spec.training import SacSettings
-from mpdt.disk import disk
 from mpdt.pace import Pace
 from mpdt.seeding import Quality, SeedKey, Stream
 
@@ -54,7 +53,7 @@ def train_sac(
     if kept:
         restore(model, *kept, work / NAME)
         say(f"resuming at step {model.num_timesteps}")
-        _drop_later(work, int(model.num_timesteps))
+        drop_later(work, int(model.num_timesteps))
     every = max(1, total // settings.snapshots)
     snapshots = _Quiet(work, run, curve, total, every, say, settings.early)
     snapshots.model = model
@@ -106,14 +105,6 @@ def _begin(model: SAC, family: Family, seed: int, step: int) -> None:
     key = SeedKey(seed, family.id, 0, Quality.PRETRAINING, step, 0)
     model.set_random_seed(key.env_seed(Stream.POLICY) % 2**32)
     model._last_obs = None  # `learn` then resets every row
-
-
-def _drop_later(work: Path, step: int) -> None:
-    """Snapshots after the checkpoint are made again, of a run of another length elsewhere."""
-    with disk(work):
-        for path in work.glob("[0-9]*.safetensors"):
-            if int(path.stem) > step:
-                path.unlink()
 
 
 class _Quiet(Snapshots):

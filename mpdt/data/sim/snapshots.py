@@ -18,7 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from mpdt.data.sim.checkpoint import Point, save_checkpoint
 from mpdt.data.spec.family import Family
-from mpdt.disk import write_bytes
+from mpdt.disk import disk, write_bytes
 from mpdt.errors import MpdtError, SimulatorError
 
 
@@ -121,3 +121,11 @@ def export(model: Any) -> dict[str, NDArray[np.float32]]:
         weights[f"w{i}"] = state[f"{layer}.weight"].T
         weights[f"b{i}"] = state[f"{layer}.bias"]
     return {key: np.ascontiguousarray(value, dtype=np.float32) for key, value in weights.items()}
+
+
+def drop_later(work: Path, step: int) -> None:
+    """Snapshots after the checkpoint are made again, of a run of another length elsewhere."""
+    with disk(work):
+        for path in work.glob("[0-9]*.safetensors"):
+            if int(path.stem) > step:
+                path.unlink()

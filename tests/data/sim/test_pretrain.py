@@ -52,6 +52,19 @@ def test_tiny_run_writes_rungs_a_record_and_resumes(tiny: None, tmp_path: Path) 
     assert any("resuming at step 800" in line for line in lines)
 
 
+def test_snapshots_behind_the_checkpoint_are_none_of_a_resumed_run(
+    tiny: None, tmp_path: Path
+) -> None:
+    """A kill came between a snapshot and the checkpoint that covers it."""
+    pretrain("cheetah_dir", steps=800, output=tmp_path)
+    work = tmp_path / "cheetah_dir.pretrain"
+    (*_, last) = sorted(work.glob("[0-9]*.safetensors"))
+    later = work / f"{1001:012d}.safetensors"
+    later.write_bytes(last.read_bytes())
+    pretrain("cheetah_dir", steps=1600, output=tmp_path)
+    assert not later.exists() and last.exists()
+
+
 def test_the_whole_state_comes_back_from_a_checkpoint(tiny: None, tmp_path: Path) -> None:
     """Policy, moments, running statistics and counters, put into a model of another seed."""
     pretrain("cheetah_dir", steps=800, output=tmp_path)
@@ -241,8 +254,9 @@ def test_a_clearing_that_was_ended_halfway_is_gone_on_with(tiny: None, tmp_path:
     """Without a checkpoint, what else lies there is of an earlier run."""
     pretrain("cheetah_dir", steps=800, output=tmp_path)
     work = tmp_path / "cheetah_dir.pretrain"
-    stale = work / "judged.json"
     (work / "checkpoint.safetensors").unlink()
-    stale.write_text(stale.read_text().replace("forward", "forwards"))
+    judged = json.loads((work / "judged.json").read_text())
+    stale = {name: [12345.0] * len(returns) for name, returns in judged.items()}
+    (work / "judged.json").write_text(json.dumps(stale))
     pretrain("cheetah_dir", steps=800, output=tmp_path, seed=1)
-    assert "forwards" not in stale.read_text()
+    assert "12345" not in (tmp_path / "cheetah_dir.json").read_text()
