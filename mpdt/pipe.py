@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, TextIO
 if TYPE_CHECKING:
     from rich.console import Console
 
+_WIDTH = 160
+"""Columns without a terminal; tables in a log file are not folded at 80."""
+
 
 @contextmanager
 def reader_may_leave() -> Iterator[None]:
@@ -92,9 +95,9 @@ class _Talk(io.TextIOWrapper):
             pass
 
 
-def table_console(width: int) -> Console:
-    """rich's on stdout, as wide as the terminal or else `width`; it leaves to us a reader that
-    has enough, which rich answers by ending the process with 1.
+def table_console() -> Console:
+    """rich's on stdout; it leaves to us a reader that has enough, which rich answers by ending the
+    process with 1.
     """
     from rich.console import Console
 
@@ -102,7 +105,7 @@ def table_console(width: int) -> Console:
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
 
-    return _Ours(file=sys.stdout, width=None if sys.stdout.isatty() else width)
+    return _Ours(file=sys.stdout, width=None if sys.stdout.isatty() else _WIDTH)
 
 
 def _fill_standard_files() -> None:

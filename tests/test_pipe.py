@@ -18,7 +18,7 @@ MUCH = "from mpdt.pipe import reader_may_leave\nwith reader_may_leave():\n    pr
 
 TABLE = (
     "from mpdt.pipe import reader_may_leave, table_console\n"
-    "with reader_may_leave():\n    console = table_console(80)\n"
+    "with reader_may_leave():\n    console = table_console()\n"
     "    for _ in range(2000):\n        console.print('x' * 70)\n"
 )
 

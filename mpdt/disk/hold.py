@@ -30,7 +30,7 @@ from pathlib import Path
 
 from mpdt.disk.holder import Holder, read_holder
 from mpdt.disk.refusal import disk, expect_folder
-from mpdt.errors import BusyError, StorageError, quoted
+from mpdt.errors import BusyError, MpdtError, StorageError, quoted
 
 WAIT_S = 10.0
 """How long a writer waits for another one by default."""
@@ -138,6 +138,15 @@ def holding(
                 raise
             finally:
                 os.close(handle)
+
+
+def sweep(target: Path) -> None:
+    """What a killed process left beside `target` goes, unless somebody is at work; no error.
+
+    A hold does that; for whoever has nothing to write.
+    """
+    with suppress(MpdtError), holding(target, amends=True, wait_s=0):
+        pass
 
 
 def written_meanwhile(target: Path, by: Holder | None = None) -> BusyError:

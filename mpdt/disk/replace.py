@@ -21,7 +21,7 @@ from mpdt.errors import StorageError
 
 _HEAD_BYTES = 64
 _NO_LINKS = {errno.EPERM, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EMLINK}
-_NO_SUCH_RENAME = {errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EPERM}
+_NO_SUCH_RENAME = _NO_LINKS | {errno.EINVAL}
 _HERE, _NOREPLACE = -100, 1  # AT_FDCWD and RENAME_NOREPLACE of Linux
 
 

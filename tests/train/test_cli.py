@@ -11,10 +11,12 @@ import pytest
 
 from mpdt.errors import UsageError
 from mpdt.model.weights import load_weights
+from mpdt.train.acting import until_stopped
 from mpdt.train.cli import Run, main, parse_settings
 from mpdt.train.run.presets import get_preset
 from mpdt.train.run.progress import Progress
 from mpdt.train.run.show import settings_text
+from mpdt.train.run.stop import Stopped
 
 QUICK = ["--preset", "smoke", "--threads", "1", "--statistics.batches", "1",
          "--evaluation.horizon", "3", "--multitask.checkpoint-every", "6"]  # fmt: skip
@@ -276,3 +278,25 @@ def test_a_short_command_that_is_ended_cleans_up(finished, tmp_path, monkeypatch
     assert (
         error.startswith("interrupted; go on with: mpdt-train report ") and error.count("\n") == 1
     )
+
+
+def test_no_password_is_printed_when_a_command_is_stopped(monkeypatch, capsys):
+    def stopped(stop):
+        raise Stopped(signal.SIGINT)
+
+    words = ["rollout", "http://me:secret@host/policy", "-o", "r.h5", "--restart"]
+    monkeypatch.setattr("sys.argv", ["mpdt-train", *words])
+    assert until_stopped(stopped) == 130
+    error = capsys.readouterr().err
+    assert "mpdt-train rollout" in error and "host/policy" in error and "-o r.h5" in error
+    assert "secret" not in error and "--restart" not in error
+
+
+def test_a_page_is_there_whenever_the_reader_of_the_tables_leaves(finished, tmp_path, monkeypatch):
+    def leave(*_):
+        raise BrokenPipeError
+
+    monkeypatch.setattr("mpdt.train.report.show.print_results", leave)
+    with pytest.raises(BrokenPipeError):
+        main(["report", str(finished), "--html", str(tmp_path / "x.html")])
+    assert (tmp_path / "x.html").exists()

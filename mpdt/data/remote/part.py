@@ -90,11 +90,12 @@ def part_of(target: Path) -> tuple[Path, Path]:
 def forget_part(target: Path) -> None:
     """What a transfer left that was killed between its last rename and its end; no error."""
     part, note = part_of(target)
-    with suppress(OSError, ValueError):
-        is_ours = not note.is_symlink() and isinstance(decode_json(note.read_bytes()), list)
-        if is_ours and os.path.lexists(part) and part.samefile(target):
+    if _source_in(note) is None:  # none of ours
+        return
+    with suppress(OSError):
+        if os.path.lexists(part) and part.samefile(target):
             part.unlink()
-        if is_ours and not os.path.lexists(part):
+        if not os.path.lexists(part):
             note.unlink()
 
 
@@ -106,13 +107,9 @@ def take_part(target: Path, source: str) -> bool:
     Raises: StorageError for a part that is not ours.
     """
     part, note = part_of(target)
-    found = None
-    if os.path.lexists(note):
-        with suppress(OSError, ValueError):
-            if not note.is_symlink() and isinstance(decode_json(note.read_bytes()), list):
-                found = note.read_text(encoding="utf-8")
+    found = _source_in(note)
     if found == source and not part.is_symlink():
-        if os.path.lexists(part) and part.is_file() and part.stat().st_nlink > 1:
+        if part.is_file() and part.stat().st_nlink > 1:
             part.unlink()  # the target of an earlier transfer, which is not to be written into
         return True
     if part.is_symlink() or (found is None and (os.path.lexists(part) or os.path.lexists(note))):
@@ -124,3 +121,11 @@ def take_part(target: Path, source: str) -> bool:
     part.unlink(missing_ok=True)
     write_bytes(note, source.encode())
     return False
+
+
+def _source_in(note: Path) -> str | None:
+    """What a note of ours says; None for anything else."""
+    with suppress(OSError, ValueError):
+        if not note.is_symlink() and isinstance(decode_json(note.read_bytes()), list):
+            return note.read_text(encoding="utf-8")
+    return None

@@ -211,7 +211,7 @@ class ActingPolicy:
 def _floats(values: ArrayLike, what: str, where: str, expected: str) -> NDArray[np.float32]:
     """A copy as float32; numpy would read text as well. Raises: ShapeError."""
     try:
-        found = np.array(values)
+        found = np.asarray(values)
         is_text = found.dtype.kind in "SUmM" or any(
             isinstance(one, str | bytes) for one in (found.flat if found.dtype == object else ())
         )

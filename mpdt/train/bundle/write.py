@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-from contextlib import suppress
 from pathlib import Path
 
 import msgspec
 from safetensors.torch import save
 
-from mpdt.disk import appearing, disk, expect_folder, holding
-from mpdt.errors import MpdtError, StorageError
+from mpdt.disk import appearing, disk, expect_folder, holding, sweep
+from mpdt.errors import StorageError
 from mpdt.train.bundle.format import (
     CARD,
     CONFIG,
@@ -46,8 +45,7 @@ def check_free(target: Path) -> None:
     """Raises: StorageError where no bundle can be written, before the work for it is done."""
     expect_folder(target.parent)
     if target.exists() or target.is_symlink():
-        with suppress(MpdtError), holding(target, amends=True, wait_s=0):
-            pass  # a lock that was left by a process that was killed goes
+        sweep(target)
         raise StorageError("something is there already", where=str(target),
                            hint="choose another folder with -o")  # fmt: skip
 

@@ -11,7 +11,6 @@ from mpdt.disk import disk, write_bytes
 from mpdt.draw.table import Table, markdown_page, rich_tables
 from mpdt.pipe import table_console
 from mpdt.train.evaluate.tables import NORMALISED
-from mpdt.train.run.show import WIDTH_WITHOUT_TERMINAL
 from mpdt.train.study.cells import CellResult
 from mpdt.train.study.claims import CLAIMED_OF
 from mpdt.train.study.goals import GOALS, goals_table
@@ -49,6 +48,6 @@ def print_study(folder: Path, output: Path | None, as_json: bool) -> None:
     if as_json:
         sys.stdout.write(json.dumps([cell.content for cell in cells]) + "\n")
         return
-    console = table_console(WIDTH_WITHOUT_TERMINAL)
+    console = table_console()
     for table in rich_tables(tables):
         console.print(table)

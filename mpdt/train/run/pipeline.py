@@ -11,7 +11,7 @@ import json
 import os
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,9 +20,9 @@ import torch
 
 from mpdt.data.sim.simulators import not_installed
 from mpdt.data.store.proof import BackgroundProof
-from mpdt.disk import disk, holding, write_bytes
+from mpdt.disk import disk, sweep, write_bytes
 from mpdt.draw.table import markdown_page
-from mpdt.errors import BackboneError, MissingFileError, MpdtError, UsageError, quoted
+from mpdt.errors import BackboneError, MissingFileError, UsageError, quoted
 from mpdt.model.backbone import from_settings
 from mpdt.train.bundle.card import card_of
 from mpdt.train.bundle.contents import ActingPrompts, contents_of
@@ -97,8 +97,7 @@ def run_pipeline(
     if group.any([done is not None])[0]:
         group.leave()
         progress.say(f"this run is done: {folder.path} (again: --restart)")
-        with suppress(MpdtError), holding(folder.path, amends=True, wait_s=0):
-            pass  # what a process left that was killed behind its last file goes
+        sweep(folder.path)
         if done is not None and follower is not None:
             with claimed(folder, identity, restart=False):
                 follower.begin(folder, prepared)

@@ -17,8 +17,6 @@ from mpdt.train.run.methods import METHODS, apply_method
 from mpdt.train.run.presets import PRESETS, get_preset
 from mpdt.train.run.results import scores_in
 
-WIDTH_WITHOUT_TERMINAL = 160  # columns; tables in a log file are not folded at 80
-
 
 def print_results(results: Mapping[str, Any], as_json: bool) -> None:
     """Tables on stdout, or the JSON."""
@@ -31,7 +29,7 @@ def print_results(results: Mapping[str, Any], as_json: bool) -> None:
             f"{phase} {n} of {asked.get(phase)}" for phase, n in results.get("updates", {}).items()
         )
         sys.stdout.write(f"incomplete, ended by a time limit after updates: {done}\n")
-    console = table_console(WIDTH_WITHOUT_TERMINAL)
+    console = table_console()
     for table in rich_tables(build_tables(scores_in(results), "policy" not in results)):
         console.print(table)
 

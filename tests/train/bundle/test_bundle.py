@@ -13,8 +13,10 @@ import pytest
 import mpdt
 from mpdt.data.sim.actors import Rows
 from mpdt.data.spec.tasks import get_family
-from mpdt.errors import UsageError
+from mpdt.disk.holder import Holder
+from mpdt.errors import StorageError, UsageError
 from mpdt.train.bundle.read import read_bundle, read_config
+from mpdt.train.bundle.write import check_free
 from mpdt.train.evaluate.rollout import evaluate
 
 from .conftest import run
@@ -149,3 +151,12 @@ def test_what_config_says(finished, bundle):
     }  # fmt: skip
     assert len(config.statistics.mean) == 20
     assert set(read.trained) == {"cross", "task_v", "task_u"}
+
+
+def test_a_lock_that_a_kill_left_beside_a_bundle_goes(bundle, tmp_path):
+    target = tmp_path / "policy"
+    shutil.copytree(bundle, target)
+    (tmp_path / ".policy.lock").write_bytes(Holder.me().encoded())
+    with pytest.raises(StorageError, match="something is there already"):
+        check_free(target)
+    assert list(tmp_path.iterdir()) == [target]

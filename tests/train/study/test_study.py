@@ -181,6 +181,9 @@ def test_study_and_report_as_typed(places, monkeypatch, capsys, tmp_path):
     assert "tiny: test tasks" in out and "from cross, adapted" in out
     assert "tiny: test tasks" in (tmp_path / "out/tables.md").read_text()
     assert (tmp_path / "out/tables.csv").read_text().startswith("data,cell,seed,method,block")
+    assert call("report", tmp_path / "r/try", "-o", tmp_path / "too", "--json") == 0
+    assert json.loads(capsys.readouterr().out)[0]["cell"] == "tiny.Soft-Prompt-TTA.s0"
+    assert (tmp_path / "too/tables.md").exists()
     assert call("study", "tyr", *folders) == 2
 
 
