@@ -54,7 +54,7 @@ def episodes(path: Path, horizon: int | None) -> Iterator[RawEpisode]:
         rows = slice(start, row + 1)
         where = f"{path}: episode {number}"
         over, cut = np.zeros(row + 1 - start, bool), np.zeros(row + 1 - start, bool)
-        over[-1], cut[-1] = terminals[row], not terminals[row]
+        over[-1], cut[-1] = terminals[row], timeouts[row] or not terminals[row]
         yield RawEpisode(
             observations=joined(
                 arrays["observations"][rows], arrays["next_observations"][rows], where

@@ -117,15 +117,21 @@ def test_a_time_limit_that_is_said(tmp_path: Path) -> None:
     assert data.steps.successes.tolist() == [False] * 4 + [True, False]
 
 
-def test_who_ends_by_its_own_rule_was_not_cut_off(tmp_path: Path) -> None:
-    """Both flags at the last step; the limit is four."""
+@pytest.mark.parametrize("format", ["npz", "d4rl"])
+def test_both_flags_at_one_step_stay_both(format: str, tmp_path: Path) -> None:
+    """Two episodes, the second ends by its own rule too; the limit is four."""
     folder = tmp_path / "sets"
     folder.mkdir()
-    np.savez(folder / "left.npz", **flat(timeouts=np.arange(1, 7) % 3 == 0))
-    data = brought(folder, horizon=4)
+    arrays = flat(timeouts=np.arange(1, 7) % 3 == 0)
+    np.savez(folder / "left.npz", **arrays)
+    with h5py.File(folder / "left.hdf5", "w") as file:
+        for name, values in arrays.items():
+            file[name] = values
+    (folder / {"npz": "left.hdf5", "d4rl": "left.npz"}[format]).unlink()
+    data = brought(folder, format=format, horizon=4)
     one, two = data.episode(0), data.episode(1)
-    assert one.truncations.tolist() == two.terminations.tolist() == [False, False, True]
-    assert not one.terminations.any() and not two.truncations.any()
+    assert one.truncations.tolist() == two.truncations.tolist() == [False, False, True]
+    assert not one.terminations.any() and two.terminations.tolist() == [False, False, True]
 
 
 def test_a_flat_file_that_does_not_say_where_it_was_cut(tmp_path: Path) -> None:
