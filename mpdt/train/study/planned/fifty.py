@@ -63,6 +63,9 @@ FIFTY: tuple[Cell, ...] = (
     *(_fifty(data, method, _NOTHING_OR_X)
       for data in ("ml45", "mt50")
       for method in ("MPDT-WP", "MPDT-WP-frozen", "MPDT+sparse", "MPDT-teacher-parts")),
+    # The other methods of the paper, as in one-block.
+    *(_fifty(data, method)
+      for data in ("ml45", "mt50") for method in ("MT-BC-FT", "MT-ORL-FT", "HDT", "LaMo")),
     # Seed 0 trained from scratch stood above all that are frozen on ml45's unseen classes: is that
     # so with other seeds, and without teachers, with prompts that can be averaged?
     *(_fifty("ml45", "MPDT-WP", _NOTHING_OR_X, seed=seed) for seed in (1, 2)),
