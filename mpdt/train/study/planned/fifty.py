@@ -8,8 +8,10 @@ from typing import Any
 from mpdt.train.study.recipes import (
     ALL_TUNED,
     BY_STEPS,
+    EVERY_START,
     EXPERT,
     INFER,
+    LEVELS,
     PLAIN,
     SCRATCH_ONES,
     SLOWER,
@@ -63,6 +65,9 @@ FIFTY: tuple[Cell, ...] = (
     *(_fifty(data, method, _NOTHING_OR_X)
       for data in ("ml45", "mt50")
       for method in ("MPDT-WP", "MPDT-WP-frozen", "MPDT+sparse", "MPDT-teacher-parts")),
+    # MPDT-E again, adapted from every start and on labelled steps of every quality, as in one-block.
+    *(_fifty(data, "MPDT-E", EVERY_START, LEVELS, TEST, label="MPDT-E-starts")
+      for data in ("ml45", "mt50")),
     # The other methods of the paper, as in one-block.
     *(_fifty(data, method)
       for data in ("ml45", "mt50") for method in ("MT-BC-FT", "MT-ORL-FT", "HDT", "LaMo")),
