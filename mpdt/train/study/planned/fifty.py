@@ -65,7 +65,7 @@ FIFTY: tuple[Cell, ...] = (
     *(_fifty(data, method, _NOTHING_OR_X)
       for data in ("ml45", "mt50")
       for method in ("MPDT-WP", "MPDT-WP-frozen", "MPDT+sparse", "MPDT-teacher-parts")),
-    # MPDT-E again, adapted from every start and on labelled steps of every quality, as in one-block.
+    # MPDT-E again: every start of adaptation, labelled steps of every quality, as in one-block.
     *(_fifty(data, "MPDT-E", EVERY_START, LEVELS, TEST, label="MPDT-E-starts")
       for data in ("ml45", "mt50")),
     # The other methods of the paper, as in one-block.
