@@ -62,4 +62,4 @@ def _explain(error: OSError | RuntimeError) -> tuple[str, str]:
         return "no permission to write", (
             "choose another folder, or ask whoever owns it (ls -ld shows who)"
         )
-    return "cannot be written", "choose another folder or name"
+    return "cannot be written", "choose another folder or name, or move away what is there"

@@ -123,11 +123,11 @@ def _check_kind(path: Path, target: Path, like: bytes) -> None:
     with disk(target):
         if path.is_dir():
             raise StorageError("a folder is in the way", where=str(target),
-                               hint="choose another name")  # fmt: skip
+                               hint="choose another name, or move it away")  # fmt: skip
         if path.exists() and not path.is_file():
             raise StorageError("not a file, and nothing to replace", where=str(target),
                                found=stat.filemode(path.stat().st_mode),
-                               hint="choose another name")  # fmt: skip
+                               hint="choose another name, or move it away")  # fmt: skip
         if like and path.exists():
             with path.open("rb") as file:
                 head = file.read(_HEAD_BYTES)

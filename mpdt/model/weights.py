@@ -62,7 +62,10 @@ def load_weights(
     """
     if not path.is_file():
         raise MissingFileError(
-            "no such file of weights", where=str(path), hint="`mpdt-train --data FILE` writes one"
+            "no such file of weights",
+            where=str(path),
+            found="a folder" if path.is_dir() else "",
+            hint="`mpdt-train --data FILE` writes one",
         )
     try:
         _check_length(path)
@@ -72,7 +75,10 @@ def load_weights(
         found = _digest(tensors, (text or "").rpartition("\n")[2])
     except _UNREADABLE as error:
         raise FormatError(
-            "not a whole safetensors file", where=str(path), found=str(error)
+            "not a whole safetensors file",
+            where=str(path),
+            found=str(error),
+            hint="take another copy, or train again",
         ) from error
     digest, _, text = (text or "").rpartition("\n")
     header = _read_header(path, text or None)

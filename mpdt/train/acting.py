@@ -124,12 +124,13 @@ def bundle(command: Bundle) -> int:
     from mpdt.train.bundle.write import check_free, write_bundle
     from mpdt.train.run.folder import RunFolder
     from mpdt.train.run.results import read_results, scores_in
-    from mpdt.train.run.stored import bundle_of_run
+    from mpdt.train.run.stored import bundle_of_run, check_same_run
 
     check_free(command.output)
-    scores = scores_in(read_results(command.folder))
-    contents = bundle_of_run(RunFolder(command.folder), command.data, not command.without_backbone)
-    config = write_bundle(command.output, contents, card_of(contents.config, scores))
+    results, run = read_results(command.folder), RunFolder(command.folder)
+    contents = bundle_of_run(run, command.data, not command.without_backbone)
+    check_same_run(contents.config, results, run.policy)
+    config = write_bundle(command.output, contents, card_of(contents.config, scores_in(results)))
     size = sum(file.size for file in config.files.values())
     facts = {"path": str(command.output), "bytes": size}
     print_result(facts, f"{command.output}   {size / 1e6:.1f} MB", command.json)

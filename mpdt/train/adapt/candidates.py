@@ -41,7 +41,6 @@ from mpdt.train.evaluate.controller import PerTaskController, PromptController, 
 from mpdt.train.evaluate.rollout import EvaluationSettings
 from mpdt.train.evaluate.score import Reads
 from mpdt.train.fit.data import Ids, sample_demonstrations
-from mpdt.train.fit.log import MetricsLog
 from mpdt.train.fit.reward import read_training_tasks, read_transitions
 from mpdt.train.fit.trained import Trained
 
@@ -99,7 +98,7 @@ class Candidates:
     """The candidates of one trained policy, made one after another in the order of the table.
 
     Args:
-        log: where losses and inferred weights go; None = nowhere.
+        log: takes losses and inferred weights; None = nobody does.
         kept: folder in which trials are kept, to go on with after a stop; None = nowhere.
     Attributes:
         returns: what is asked of the test tasks, one row each.
@@ -108,7 +107,7 @@ class Candidates:
 
     def __init__(
         self, trained: Trained, settings: Settings, on_step: OnStep = _untold,
-        log: MetricsLog | None = None, kept: Path | None = None,
+        log: list[Mapping[str, Any]] | None = None, kept: Path | None = None,
     ) -> None:  # fmt: skip
         self._kept = kept
         self._trained, self._material, self._config = trained, trained.material, settings

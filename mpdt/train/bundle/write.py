@@ -55,6 +55,10 @@ def remove_bundle(target: Path) -> None:
     if not target.is_dir():
         return
     with holding(target) as hold, disk(target):
-        target.rename(hold.temporary)
-        shutil.rmtree(hold.temporary)
+        try:
+            target.rename(hold.temporary)
+            shutil.rmtree(hold.temporary)
+        except BaseException:  # a second signal: nobody finds that name once the lock is gone
+            shutil.rmtree(hold.temporary, ignore_errors=True)
+            raise
         hold.found = None

@@ -62,12 +62,38 @@ class MetricsLog:
             with disk(self.path):
                 sync(self.path)
 
+    def check(self, size_bytes: int) -> None:
+        """Raises: FormatError unless a line ends after `size_bytes`; StorageError."""
+        there = self.size_bytes
+        if there >= size_bytes and self._ends_line(size_bytes):
+            return
+        raise FormatError("not the log that the weights beside it were written with",
+                          where=str(self.path), expected=f"a line that ends at byte {size_bytes:,}",
+                          found=f"{there:,} bytes" if there < size_bytes else "none ends there",
+                          hint="put the log of this run back, or train again with --restart"
+                          )  # fmt: skip
+
+    def _ends_line(self, size_bytes: int) -> bool:
+        if not size_bytes:
+            return True
+        with disk(self.path), self.path.open("rb") as file:
+            file.seek(size_bytes - 1)
+            return file.read(1) == b"\n"
+
     def cut(self, size_bytes: int) -> None:
-        """Forget every line behind the first `size_bytes`. Raises: StorageError."""
+        """Forget every line behind the first `size_bytes`. Raises: as `check`."""
+        self.check(size_bytes)
         if self.size_bytes > size_bytes:
             with disk(self.path):
                 os.truncate(self.path, size_bytes)
             self.sync()
+
+    def put(self, size_bytes: int, records: Sequence[Mapping[str, Any]]) -> None:
+        """These after the first `size_bytes`, instead of what was there. Raises: as `check`."""
+        self.cut(size_bytes)
+        for record in records:
+            self.append(record)
+        self.sync()
 
     def records(self) -> list[dict[str, Any]]:
         """All lines; a last one that a kill cut off is left out.
@@ -79,7 +105,8 @@ class MetricsLog:
         try:
             lines = self.path.read_bytes().splitlines(keepends=True)
         except OSError as error:
-            raise StorageError("cannot read", where=str(self.path), found=str(error)) from error
+            raise StorageError("cannot read", where=str(self.path), found=str(error),
+                               hint="move it away") from error  # fmt: skip
         if lines and not lines[-1].endswith(b"\n"):
             del lines[-1]
         records = [self._record(line, number) for number, line in enumerate(lines, 1)]

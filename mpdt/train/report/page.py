@@ -95,7 +95,7 @@ def run_content(results: Mapping[str, Any], folder: Path) -> Content:
             pair = (next(tables), next(tables))
             parts.append(_part(own, pair))
     log = MetricsLog(folder / "metrics.jsonl").records()
-    maps, warnings = _maps(folder / "weights.safetensors")
+    maps, warnings = _maps(folder / "weights.safetensors", results)
     return Content(
         title=str(results.get("name", folder.name)), facts=list(_facts(results)), parts=parts,
         curves=_run_curves(log), maps=maps,
@@ -105,10 +105,14 @@ def run_content(results: Mapping[str, Any], folder: Path) -> Content:
     )  # fmt: skip
 
 
-def _maps(weights: Path) -> tuple[list[tuple[str, str]], list[str]]:
+def _maps(
+    weights: Path, results: Mapping[str, Any]
+) -> tuple[list[tuple[str, str]], list[str]]:  # fmt: skip
     """Pictures of the prompts, and why there are none."""
+    of = results.get("identity")
+    run = of.get("training") if isinstance(of, dict) else None
     try:
-        maps = prompt_maps(weights) if weights.exists() else {}
+        maps = prompt_maps(weights, run) if weights.exists() else {}
     except MpdtError as error:
         return [], [f"No maps of the prompts: {error.message()}"]
     return [(name, picture(map_pixels(one), lossless=True)) for name, one in maps.items()], []

@@ -9,9 +9,10 @@ Seeds and the rows beside the method are those of `bench.py`.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -20,7 +21,6 @@ from mpdt.train.bundle.contents import ActingPrompts, own_prompts, prompts_of
 from mpdt.train.bundle.format import OWN
 from mpdt.train.evaluate.controller import TrainedActor
 from mpdt.train.evaluate.score import Block, Reads, Score, with_verdicts
-from mpdt.train.fit.log import MetricsLog
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.bench import Bench
 from mpdt.train.run.config import TrainConfig
@@ -33,7 +33,7 @@ class Judge:
     """The phases after training.
 
     Args:
-        log: where adaptation writes; None = nowhere.
+        log: takes what adaptation tells; None = nobody does.
         kept: folder in which trials are kept, to go on with after a stop; None = nowhere.
         keeper: keeps the episodes of the method's rows, each row in a file; None = nobody does.
     Attributes:
@@ -44,7 +44,7 @@ class Judge:
     trained: Trained
     config: TrainConfig
     progress: Progress
-    log: MetricsLog | None = None
+    log: list[Mapping[str, Any]] | None = None
     keeper: Keeper | None = None
     kept: Path | None = None
     acting: list[ActingPrompts] = field(default_factory=list)

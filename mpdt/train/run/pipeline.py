@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -98,6 +98,9 @@ def run_pipeline(
         group.leave()
         progress.say(f"this run is done: {folder.path} (again: --restart)")
         sweep(folder.path)
+        if done is not None:  # a kill just before the end leaves it there a second time
+            with disk(folder.path):
+                folder.judged(identity.hashes["judging"]).unlink(missing_ok=True)
         if done is not None and follower is not None:
             with claimed(folder, identity, restart=False):
                 follower.begin(folder, prepared)
@@ -170,7 +173,8 @@ def _train_and_judge(trainer: Trainer, keeper: Keeper | None = None) -> dict[str
     if not prepared.material.family.simulates:
         for line in _not_judged(trainer):
             progress.say(line)
-    judge = Judge(trained, prepared.config, progress, folder.log, keeper, folder.trials)
+    told: list[Mapping[str, Any]] = []
+    judge = Judge(trained, prepared.config, progress, told, keeper, folder.trials)
     scores = judge.scores()
     judging_s = time.monotonic() - began_s - judge.adaptation_s
     if trainer.proof is not None:
@@ -187,9 +191,11 @@ def _train_and_judge(trainer: Trainer, keeper: Keeper | None = None) -> dict[str
         "trained numbers": f"{trained.num_trainables:,}",
         "updates": _updates(trained),
     }
-    # results.json goes first and comes last: it is what marks a run as done.
+    # results.json goes first and comes last: it is what marks a run as done. Until then the lines
+    # of the judgement before stay beside it.
     with disk(folder.results):
         set_aside(folder)
+    folder.log.put(trainer.log_bytes, told)
     write_config(folder, prepared.identity)
     remove_bundle(folder.policy)
     write_bytes(folder.report, markdown_page(facts, build_tables(scores), NORMALISED).encode())

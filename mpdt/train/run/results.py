@@ -13,7 +13,7 @@ import msgspec
 
 from mpdt.disk import sync
 from mpdt.draw.table import html_table
-from mpdt.errors import FormatError, MissingFileError
+from mpdt.errors import FormatError, MissingFileError, MpdtError
 from mpdt.reading import read_json
 from mpdt.train.evaluate.score import Score
 from mpdt.train.evaluate.sealed import FORMAT, check_digest
@@ -21,7 +21,7 @@ from mpdt.train.evaluate.tables import build_tables
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.config import to_plain
 from mpdt.train.run.folder import RunFolder
-from mpdt.train.run.identity import files_of
+from mpdt.train.run.identity import Identity, files_of
 from mpdt.train.run.machine import machine
 from mpdt.train.run.prepare import Prepared
 
@@ -97,14 +97,28 @@ class Results(dict[str, Any]):
 def read_results(folder: Path | str) -> Results:
     """results.json of a run's folder: settings, data, and under `scores` every row of its tables.
 
-    Raises: MissingFileError for no folder or a run that has not ended; FormatError for changes.
+    Raises: MissingFileError for no folder or a run that has not ended; FormatError for changes,
+        and for the results of another run.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise MissingFileError("no folder of a run", where=str(folder),
                                hint="runs/NAME, as mpdt-train made it")  # fmt: skip
     RunFolder(folder).refuse_links()
-    return Results(read_results_file(folder / "results.json"))
+    results = Results(read_results_file(folder / "results.json"))
+    _check_whose(results, RunFolder(folder))
+    return results
+
+
+def _check_whose(results: Mapping[str, Any], folder: RunFolder) -> None:
+    """Raises: FormatError where config.json is there, whole, and tells of another training."""
+    ours, wanted = results.get("identity"), ""
+    with suppress(MpdtError):  # whoever needs config.json says what is wrong with it
+        training = read_json(folder.config).get("training")
+        wanted = Identity(training, {}).hashes["training"] if isinstance(training, dict) else ""
+    if wanted and isinstance(ours, dict) and (found := str(ours.get("training"))) != wanted:
+        raise FormatError("the results of another run", where=str(folder.results),
+                          expected=wanted[:12], found=found[:12], hint=_AGAIN)  # fmt: skip
 
 
 def read_results_file(path: Path) -> dict[str, Any]:
@@ -122,9 +136,10 @@ def read_results_file(path: Path) -> dict[str, Any]:
             where=str(path),
             hint="a run writes them at its end; the same command continues it",
         ) from error
+    except FormatError as error:
+        raise FormatError(error.what, where=error.where, expected=error.expected,
+                          found=error.found, hint=_AGAIN) from error  # fmt: skip
     except (ValueError, KeyError) as error:
-        if isinstance(error, FormatError):
-            raise
         found = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
         raise FormatError("not the results of a run", where=str(path), found=found) from error
     check_digest(results, str(path), _AGAIN)
@@ -144,7 +159,7 @@ def find_results(folder: Path, identity: Mapping[str, str]) -> dict[str, Any] | 
 def set_aside(folder: RunFolder) -> None:
     """Make room for new results: finished ones are kept under judged/, all others go."""
     with suppress(MissingFileError, FormatError):
-        results = read_results(folder.path)
+        results = read_results_file(folder.results)
         identity = results.get("identity")
         judging = str(identity.get("judging")) if isinstance(identity, dict) else ""
         if re.fullmatch("[0-9a-f]{64}", judging) and results.get("complete") is True:

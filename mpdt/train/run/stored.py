@@ -6,15 +6,15 @@ Nothing is written into the run's folder.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import msgspec
 from torch import Tensor
 
 from mpdt.data.store.reader import parse_ref
-from mpdt.errors import MissingFileError, ShapeError, unknown_name
+from mpdt.errors import FormatError, MissingFileError, ShapeError, quoted, unknown_name
 from mpdt.model.backbone import from_settings
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.prompts import Start, TrainedPrompts
@@ -31,7 +31,7 @@ from mpdt.train.bundle.contents import (
     prompts_of,
     without_backbone,
 )
-from mpdt.train.bundle.format import Contents
+from mpdt.train.bundle.format import BundleConfig, Contents
 from mpdt.train.bundle.read import is_bundle, read_contents
 from mpdt.train.fit.trained import Trained
 from mpdt.train.run.build import build
@@ -83,10 +83,15 @@ def bundle_of_run(folder: RunFolder, data: Path | str | None, inside: bool) -> C
     Args:
         data: as in `load_policy`; not needed where the run left its policy.
         inside: with the language model's blocks.
-    Raises: as `load_policy`, `contents_of`.
+    Raises: as `load_policy`, `contents_of`; FormatError, MissingFileError for a damaged bundle.
     """
     if is_bundle(folder.policy):
-        contents = read_contents(folder.policy)
+        try:
+            contents = read_contents(folder.policy)
+        except (FormatError, MissingFileError) as error:
+            hint = f"move {quoted(folder.policy)} away; then it is made of the weights"
+            raise type(error)(error.what, where=error.where, expected=error.expected,
+                              found=error.found, hint=hint) from error  # fmt: skip
         return contents if inside else without_backbone(contents)
     prepared = _prepare(folder, data)
     trained, rows = _weights(folder, prepared), prepared.material.test_rows
@@ -96,6 +101,18 @@ def bundle_of_run(folder: RunFolder, data: Path | str | None, inside: bool) -> C
         acting += [prompts_of(one, rows, candidates.returns) for one in candidates]
     return contents_of(trained, acting, to_plain(prepared.config), folder.path.name,
                        prepared.identity.hashes, inside)  # fmt: skip
+
+
+def check_same_run(config: BundleConfig, results: Mapping[str, Any], policy: Path) -> None:
+    """Raises: FormatError where a card would tell of another training than the bundle's."""
+    ours = results.get("identity")
+    found = config.training.identity.get("training")
+    wanted = ours.get("training") if isinstance(ours, dict) else None
+    if wanted is not None and found != wanted:
+        raise FormatError("the bundle of another run", where=str(policy),
+                          expected=str(wanted)[:12], found=str(found)[:12],
+                          hint=f"move {quoted(policy)} away; then it is made of the weights"
+                          )  # fmt: skip
 
 
 def load_trained(run: Path | str, data: Path | str | None = None) -> Trained:

@@ -51,6 +51,8 @@ class Trainer:
         proof: that what is learnt from is whole; nothing is kept before it is.
         filled: the learner holds the numbers of the bundle that the run begins from.
         follower: told of the lines that are kept.
+    Attributes:
+        log_bytes: of metrics.jsonl, up to the last line of the training.
     """
 
     learner: Learner
@@ -61,6 +63,7 @@ class Trainer:
     proof: BackgroundProof | None = None
     filled: bool = False
     follower: Follower = field(default_factory=Nobody)
+    log_bytes: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         prepared = self.learner.prepared
@@ -79,16 +82,18 @@ class Trainer:
         subject = learner.subject(learner.prompts)
         header = self._load(folder.weights, "mpdt", subject, learner.asked)
         if header is not None:
-            # Lines of an earlier adaptation go: it is done again.
-            folder.log.cut(int(str(header.settings["metrics_bytes"])))
-            self.follower.kept(folder.log.size_bytes)
+            self.log_bytes = int(str(header.settings["metrics_bytes"]))
+            folder.log.check(self.log_bytes)
+            self.follower.kept(self.log_bytes)
             self.progress.say(f"trained already: {folder.weights}")
             updates = msgspec.convert(header.settings["updates"], dict[str, int])
             if self._drop_checkpoints(updates):  # of a process that was killed just before
                 folder.checkpoint("best").unlink(missing_ok=True)
             return self._trained(updates)
         with Spent(folder).training():
-            return self._trained(self._phases(subject, began_s))
+            steps = self._phases(subject, began_s)
+        self.log_bytes = folder.log.size_bytes
+        return self._trained(steps)
 
     def _trained(self, steps: dict[str, int]) -> Trained:
         trained = self.learner.trained(steps)

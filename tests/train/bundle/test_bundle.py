@@ -14,10 +14,13 @@ import mpdt
 from mpdt.data.sim.actors import Rows
 from mpdt.data.spec.tasks import get_family
 from mpdt.disk.holder import Holder
-from mpdt.errors import StorageError, UsageError
+from mpdt.errors import FormatError, StorageError, UsageError
 from mpdt.train.bundle.read import read_bundle, read_config
-from mpdt.train.bundle.write import check_free
+from mpdt.train.bundle.write import check_free, remove_bundle
 from mpdt.train.evaluate.rollout import evaluate
+from mpdt.train.report.page import run_content
+from mpdt.train.run.results import read_results
+from mpdt.train.run.stored import check_same_run
 
 from .conftest import run
 
@@ -136,6 +139,55 @@ def test_judging_again_replaces_the_bundle(finished, tmp_path):
         "README.md", "config.json", "model.safetensors",
     ]  # fmt: skip
     assert not [path for path in again.iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize("second", [False, True])
+def test_a_signal_while_an_old_bundle_goes(bundle, tmp_path, monkeypatch, second):
+    target = shutil.copytree(bundle, tmp_path / "policy")
+    whole = shutil.rmtree
+
+    def stopped(path, ignore_errors=False):
+        if not ignore_errors:
+            if second:
+                next(path.iterdir()).unlink()
+            raise KeyboardInterrupt
+        whole(path, ignore_errors=True)
+
+    monkeypatch.setattr("mpdt.train.bundle.write.shutil.rmtree", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        remove_bundle(target)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_bundle_of_a_run_is_made_again_of_its_weights(finished, tmp_path, capsys):
+    again = shutil.copytree(finished, tmp_path / "runs" / "r")
+    shutil.copy(finished.parent.parent / "tiny.h5", tmp_path)
+    for name in ("model.safetensors", "config.json"):
+        (again / "policy" / name).write_bytes(b"")
+        assert run("bundle", again, "-o", tmp_path / "b") == 1
+        assert f"hint:  move {again / 'policy'} away" in capsys.readouterr().err
+    (again / "policy").rename(tmp_path / "away")
+    assert run("bundle", again, "-o", tmp_path / "b") == 0
+    for name in ("config.json", "model.safetensors", "README.md"):
+        assert (tmp_path / "b" / name).read_bytes() == (finished / "policy" / name).read_bytes()
+
+
+def test_files_of_another_run_are_not_joined(finished, tmp_path, capsys):
+    again = shutil.copytree(finished, tmp_path / "r")
+    config = read_config(again / "policy")
+    other = {"identity": {"training": "0" * 64}}
+    with pytest.raises(FormatError, match="bundle of another run"):
+        check_same_run(config, other, again / "policy")
+    page = run_content({**read_results(again), **other}, again)
+    assert not page.maps and "trained on another run" in page.warnings[0]
+    settings = json.loads((again / "config.json").read_text())
+    settings["training"]["seed"] += 1
+    (again / "config.json").write_text(json.dumps(settings))
+    for words in (["report", again], ["watch", again, "--once"],
+                  ["bundle", again, "-o", tmp_path / "b"]):  # fmt: skip
+        assert run(*words) == 1
+        error = capsys.readouterr().err
+        assert "the results of another run" in error and "hint:  move it away" in error
 
 
 def test_what_config_says(finished, bundle):

@@ -19,6 +19,23 @@ def test_metrics_log_forgets_what_came_after_a_checkpoint(tmp_path):
     assert log.records() == [{"phase": "x", "step": step} for step in (1, 3)]
 
 
+def test_what_was_written_with_a_log_finds_it_or_says_so(tmp_path):
+    log = MetricsLog(tmp_path / "metrics.jsonl")
+    log.check(0)
+    with pytest.raises(FormatError, match="line that ends at byte 1, found 0 bytes"):
+        log.check(1)
+    log.append({"phase": "x", "step": 1})
+    whole = log.size_bytes
+    log.check(whole)
+    for wrong, said in ((whole + 1, f"found {whole} bytes"), (whole - 1, "none ends there")):
+        with pytest.raises(FormatError, match=said):
+            log.cut(wrong)
+    assert log.size_bytes == whole
+    log.put(whole, [{"phase": "x", "step": 2}])
+    log.put(whole, [{"phase": "x", "step": 3}])
+    assert [record["step"] for record in log.records()] == [1, 3]
+
+
 @pytest.mark.parametrize(
     ("line", "said"),
     [

@@ -13,7 +13,6 @@ from mpdt.errors import TrainingError
 from mpdt.train.fit.data import load_material
 from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.folder import RunFolder, claimed, locate
-from mpdt.train.run.judge import Judge
 from mpdt.train.run.prepare import prepare
 from mpdt.train.run.spent import Spent
 
@@ -92,11 +91,14 @@ def test_a_finished_run_is_swept(again, capsys):
     folder, arguments = again
     other = Holder.me()
     (folder.parent / ".r.lock").write_bytes(other.encoded())
+    twice = RunFolder(folder).judged(results_of(folder)["identity"]["judging"])
+    twice.parent.mkdir()
+    twice.write_bytes((folder / "results.json").read_bytes())
     (folder / f".results.json.{other.token}.tmp").write_text("half")
     assert call(*arguments) == 0
     assert "this run is done" in capsys.readouterr().err
     assert {path.name for path in folder.parent.iterdir()} == {"r"}
-    assert not list(folder.glob(".*"))
+    assert not list(folder.glob(".*")) and not twice.exists()
 
 
 class Pair:
@@ -304,17 +306,36 @@ def test_a_refused_judgement_leaves_the_run_as_it_was(again, tiny_file, capsys):
         assert {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()} == before
 
 
-def test_a_judgement_that_fails_later_leaves_the_settings_before(again, tiny_file, monkeypatch):
-    """The next one starts from those that made the results."""
+def test_a_judgement_that_fails_later_leaves_all_of_the_one_before(again, tiny_file, monkeypatch):
+    """The next one starts from the settings that made the results; the log tells of them."""
     folder, _ = again
-    before = (folder / "config.json").read_bytes()
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
-    def fail(judge):
+    def fail(*_):
         raise TrainingError("nothing to be done")
 
-    monkeypatch.setattr(Judge, "scores", fail)
+    monkeypatch.setattr("mpdt.train.run.pipeline.results_header", fail)
     assert call("adapt", folder, "--data", tiny_file, "-q", "--adapt.steps", 2) == 1
-    assert (folder / "config.json").read_bytes() == before
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("damage", ["half", "none", "a folder"])
+def test_a_log_that_is_not_the_run_s_is_told_before_anything_is_written(
+    again, tiny_file, capsys, damage
+):
+    folder, _ = again
+    log = folder / "metrics.jsonl"
+    if damage == "half":
+        os.truncate(log, log.stat().st_size // 2)
+    else:
+        log.unlink()
+    if damage == "a folder":
+        log.mkdir()
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert call("adapt", folder, "--data", tiny_file, "-q", "--adapt.steps", 2) == 1
+    error = capsys.readouterr().err
+    assert str(log) in error and "hint:" in error and "Traceback" not in error
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
 def test_the_published_protocol_has_no_path_to_rewards(again, tiny_file, other_rewards_file):
