@@ -61,12 +61,11 @@ def load_weights(
     another hash).
     """
     if not path.is_file():
+        is_folder = path.is_dir()
         raise MissingFileError(
-            "no such file of weights",
-            where=str(path),
-            found="a folder" if path.is_dir() else "",
-            hint="`mpdt-train --data FILE` writes one",
-        )
+            "no such file of weights", where=str(path), found="a folder" if is_folder else "",
+            hint="move it away" if is_folder else "`mpdt-train --data FILE` writes one",
+        )  # fmt: skip
     try:
         _check_length(path)
         with safe_open(path, framework="pt") as stored:
@@ -89,7 +88,9 @@ def load_weights(
             hint="take another copy, or train again",
         )
     if kind is not None and header.kind != kind:
-        raise FormatError("other weights", where=str(path), expected=kind, found=header.kind)
+        raise FormatError("other weights", where=str(path), expected=kind, found=header.kind,
+                          hint="put back those that were there, or train again with --restart"
+                          )  # fmt: skip
     for name, value in (hashes or {}).items():
         if header.hashes.get(name) != value:
             raise FormatError(

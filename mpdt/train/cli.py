@@ -203,7 +203,8 @@ def _completion(command: Completion) -> int:
 
 
 def _run(command: Run, rest: list[str]) -> int:
-    from mpdt.train.run.folder import locate, name_of_data
+    from mpdt.train.run.folder import locate
+    from mpdt.train.run.names import name_of_data
     from mpdt.train.run.pipeline import run_pipeline
     from mpdt.train.run.prepare import prepare
     from mpdt.train.run.progress import Progress

@@ -84,6 +84,20 @@ def test_links_in_a_run_are_neither_read_nor_written_through(tiny_file, finished
     assert theirs.read_text() == "private"
 
 
+@pytest.mark.parametrize("name", ["metrics.jsonl", "results.json", "policy", "judged"])
+def test_a_folder_for_a_file_and_a_file_for_a_folder(tiny_file, finished, tmp_path, capsys, name):
+    """Told before a judgement begins, not when its results are to be written."""
+    folder = shutil.copytree(finished, tmp_path / "r")
+    (folder / name).rename(tmp_path / "away") if (folder / name).exists() else None
+    (folder / name).mkdir() if "." in name else (folder / name).touch()
+    before = sorted(folder.rglob("*"))
+    for words in (("report", folder), ("adapt", folder, "--data", tiny_file)):
+        assert call(*words) == 1
+        error = capsys.readouterr().err
+        assert f"{name}: not what a run keeps" in error and f"hint:  move {folder / name}" in error
+    assert sorted(folder.rglob("*")) == before
+
+
 @pytest.mark.parametrize("name", ["notes.txt", "nowhere"])
 def test_a_report_of_no_folder(tmp_path, capsys, name):
     (tmp_path / "notes.txt").touch()

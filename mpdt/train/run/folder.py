@@ -20,16 +20,13 @@ import json
 import os
 import re
 import shutil
-import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from glob import has_magic
 from pathlib import Path
 from typing import Any
 
 from mpdt.data.spec.change import changed_keys
-from mpdt.data.store.reader import parse_ref
 from mpdt.disk import disk, holding, sync, write_bytes
 from mpdt.errors import (
     FormatError,
@@ -45,9 +42,9 @@ from mpdt.reading import read_json
 from mpdt.train.fit.log import MetricsLog
 from mpdt.train.run.config import TrainConfig
 from mpdt.train.run.identity import Identity, from_record
+from mpdt.train.run.names import MOST_LETTERS
 
 FORMAT = "mpdt-run/3"
-_MOST_LETTERS = 120  # most disks end at 255
 
 
 @dataclass(frozen=True)
@@ -106,43 +103,31 @@ class RunFolder:
     def judged_ones(self) -> list[Path]:
         return sorted((self.path / "judged").glob("*.json"))
 
-    def refuse_links(self) -> None:
-        """A folder brought from elsewhere may have one: what is written there would go through it.
+    def check_entries(self) -> None:
+        """A folder brought from elsewhere may hold anything under our names.
 
-        Raises: FormatError for a link under one of these names.
+        Raises: FormatError for a link, through which would be written; for a folder in place of a
+            file, or a file in place of a folder.
         """
         for path in sorted(self.path.glob("*")):
-            if path.is_symlink() and _OURS.fullmatch(path.name):
+            if not _OURS.fullmatch(path.name):
+                continue
+            if path.is_symlink():
                 raise FormatError("a link in the folder of a run", where=str(path),
                                   found=str(path.readlink()),
                                   hint="put a copy of what it leads to in its place")  # fmt: skip
-
-
-def fitting_name(stem: str) -> str:
-    """A name for a run on that file: `my data` -> `my-data`, `Übung 3` -> `Ubung-3`."""
-    plain = unicodedata.normalize("NFKD", stem).encode("ascii", "ignore").decode("ascii")
-    fitting = re.sub(r"[^A-Za-z0-9_.+]+", "-", plain)[: _MOST_LETTERS // 2].strip("-_.+")
-    return fitting or "run"
-
-
-def name_of_data(ref: str) -> str:
-    """What a run on FILE or FILE:slice is called: `data/ml10.h5` -> `ml10`; of several files
-    `a-b`, of more than three `a-and-3-more`, of a pattern its folder."""
-    path, _ = parse_ref(ref)
-    if path.exists():
-        return fitting_name(path.resolve().name if path.is_dir() else path.stem)
-    words = [Path(word) for word in str(path).split(",") if word]
-    stems = [word.parent.name if has_magic(word.name) else word.stem for word in words]
-    if len(stems) > 3:
-        return fitting_name(f"{stems[0]}-and-{len(stems) - 1}-more")
-    return fitting_name("-".join(stems))
+            wanted, found = ("a folder", "a file")[:: 1 if _FOLDERS.fullmatch(path.name) else -1]
+            if path.is_dir() != (wanted == "a folder"):
+                raise FormatError("not what a run keeps under this name", where=str(path),
+                                  expected=wanted, found=found,
+                                  hint=f"move {quoted(path)} away")  # fmt: skip
 
 
 def locate(runs_dir: Path, name: str) -> RunFolder:
     """The folder of that name; touches no disk. Raises: UsageError for a bad name."""
-    if not re.fullmatch(rf"[A-Za-z0-9][A-Za-z0-9_.+-]{{0,{_MOST_LETTERS - 1}}}", name):
+    if not re.fullmatch(rf"[A-Za-z0-9][A-Za-z0-9_.+-]{{0,{MOST_LETTERS - 1}}}", name):
         raise UsageError(f"'{name}' cannot name a run", where="--name",
-                         expected=f"1 to {_MOST_LETTERS} letters, digits, . _ + -")  # fmt: skip
+                         expected=f"1 to {MOST_LETTERS} letters, digits, . _ + -")  # fmt: skip
     return RunFolder(runs_dir / name)
 
 
@@ -169,7 +154,7 @@ def inspect(folder: RunFolder, identity: Identity, restart: bool, judges: bool =
         if existing != path:
             return
         if not restart:  # which removes them
-            folder.refuse_links()
+            folder.check_entries()
         if folder.config.exists():
             if not restart:
                 _compare(folder, identity, judges)
@@ -295,7 +280,7 @@ def stored_settings(path: Path) -> TrainConfig:
         FormatError for one whose config.json is damaged.
     """
     folder = RunFolder(path)
-    folder.refuse_links()
+    folder.check_entries()
     if not folder.config.exists():
         raise MissingFileError("no run here", where=str(path),
                                hint="`mpdt-train --data FILE` makes one")  # fmt: skip
@@ -321,9 +306,10 @@ def _clear(folder: RunFolder) -> None:
                 entry.unlink()
 
 
-_OURS = re.compile(r"(config|results|spent|tracked)\.json|metrics\.jsonl|report\.md|policy|judged"
-                   r"|trials|tensorboard|wandb|\.wandb-sending"
-                   r"|(teacher|weights|checkpoint-.*)\.safetensors")  # fmt: skip
+_FOLDERS = re.compile(r"policy|judged|trials|tensorboard|wandb|\.wandb-sending")
+_OURS = re.compile(r"(config|results|spent|tracked)\.json|metrics\.jsonl|report\.md"
+                   rf"|{_FOLDERS.pattern}|(teacher|weights|checkpoint-.*)\.safetensors"
+                   )  # fmt: skip
 _ELSEWHERE = "choose another --name or --runs-dir"
 # What a kill in the first moment leaves in a new folder; the first two are of older versions.
 _LEFTOVER = re.compile(r"run\.pid|config\.json\.tmp|\.config\.json\.[0-9a-f]{16}\.(tmp|lock)")

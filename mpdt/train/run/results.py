@@ -104,7 +104,7 @@ def read_results(folder: Path | str) -> Results:
     if not folder.is_dir():
         raise MissingFileError("no folder of a run", where=str(folder),
                                hint="runs/NAME, as mpdt-train made it")  # fmt: skip
-    RunFolder(folder).refuse_links()
+    RunFolder(folder).check_entries()
     results = Results(read_results_file(folder / "results.json"))
     _check_whose(results, RunFolder(folder))
     return results

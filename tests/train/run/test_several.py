@@ -16,7 +16,7 @@ from mpdt.data.store.reader import open_dataset
 from mpdt.train.cli import _one_data
 from mpdt.train.fit.data import return_table
 from mpdt.train.run.config import TrainConfig
-from mpdt.train.run.folder import name_of_data
+from mpdt.train.run.names import name_of_data
 from mpdt.train.run.prepare import prepare
 
 from ..conftest import write
