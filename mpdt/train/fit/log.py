@@ -33,6 +33,8 @@ _NEEDED = {"adapt": ("step", "start", "losses"), "infer": ("task", "weights"),
            "validation": ("step", "action_error")}  # fmt: skip
 
 
+# Runs once told the mean square of a prompt without tokens, and JSON has no word for that.
+_NO_NUMBER = b": null"
 _MEND = "mend the line, or train again with --restart"
 
 
@@ -127,7 +129,7 @@ class MetricsLog:
 
     def _record(self, line: bytes, number: int) -> dict[str, Any]:
         try:
-            record: dict[str, Any] = decode_json(line)
+            record: dict[str, Any] = decode_json(line.replace(b": NaN", _NO_NUMBER))
             known = msgspec.convert(record, Line)
             needed = ("phase", "step") if "action_loss" in record else _NEEDED.get(known.phase, ())
             missing = [key for key in needed if key not in record]

@@ -274,8 +274,12 @@ class Trainer:
 
 
 def prompt_norms(prompts: Prompts) -> dict[str, float]:
-    """Root mean squares of the parts: P_c o P_k has one scale too many, so log them apart."""
+    """Root mean squares of the parts: P_c o P_k has one scale too many, so log them apart.
+
+    A prompt without tokens (MT-BC, MT-ORL) has none.
+    """
     return {
         f"rms_{name}": float(value.detach().square().mean().sqrt())
         for name, value in prompts.named_parameters()
+        if value.numel()
     }

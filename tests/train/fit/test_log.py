@@ -61,6 +61,16 @@ def test_a_line_that_is_none_of_ours_is_one_error_with_its_number(tmp_path, line
     assert f"{path}, line 2" in str(raised.value)
 
 
+def test_lines_of_older_runs_without_prompt_tokens(tmp_path):
+    path = tmp_path / "metrics.jsonl"
+    path.write_text('{"phase": "student", "step": 1, "action_loss": 1.0, "rms_cross": NaN}\n')
+    (record,) = MetricsLog(path).records()
+    assert record["rms_cross"] is None
+    path.write_text('{"phase": "student", "step": 1, "action_loss": NaN}\n')
+    with pytest.raises(FormatError, match="got `null`"):
+        MetricsLog(path).records()
+
+
 def test_a_last_line_that_a_kill_cut_off_is_left_out(tmp_path):
     path = tmp_path / "metrics.jsonl"
     path.write_text('{"phase": "x", "step": 1, "action_loss": 1.0}\n{"phase": "st')

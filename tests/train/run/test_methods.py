@@ -69,6 +69,9 @@ def test_every_method_trains_and_is_judged(method, tiny_file, tmp_path):
     assert reads - plain == set(READS.get(method, {"from cross, adapted": "X"}).items())
     # Judged again from the stored weights: the same numbers, so all that was trained was kept.
     folder = locate(tmp_path, "r")
+    # Pages, studies and trackers read it.
+    assert "student" in {record["phase"] for record in folder.log.records()}
+    assert "NaN" not in folder.log.path.read_text()
     folder.results.unlink()
     before = folder.weights.read_bytes()
     assert run(tiny(method), tiny_file, tmp_path)["scores"] == results["scores"]
