@@ -97,8 +97,7 @@ class Results(dict[str, Any]):
 def read_results(folder: Path | str) -> Results:
     """results.json of a run's folder: settings, data, and under `scores` every row of its tables.
 
-    Raises: MissingFileError for no folder or a run that has not ended; FormatError for changes,
-        and for the results of another run.
+    Raises: MissingFileError for no folder or no end yet; FormatError for changes, another run's.
     """
     folder = Path(folder)
     if not folder.is_dir():
