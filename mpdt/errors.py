@@ -65,6 +65,10 @@ class MpdtError(Exception):
         text = f"error: {self._text(_shown(self.what))}"
         return f"{text}\nhint:  {_shown(self.hint)}" if self.hint else text
 
+    def with_hint(self, hint: str) -> MpdtError:
+        """The same, where somebody knows better what to do next."""
+        return _rebuild(type(self), self.what, self.where, self.expected, self.found, hint)
+
     def __reduce__(self) -> tuple[object, ...]:
         # Exceptions cross process borders; the default would lose the keyword arguments.
         fields = (self.what, self.where, self.expected, self.found, self.hint)

@@ -88,13 +88,18 @@ def test_links_in_a_run_are_neither_read_nor_written_through(tiny_file, finished
 def test_a_folder_for_a_file_and_a_file_for_a_folder(tiny_file, finished, tmp_path, capsys, name):
     """Told before a judgement begins, not when its results are to be written."""
     folder = shutil.copytree(finished, tmp_path / "r")
-    (folder / name).rename(tmp_path / "away") if (folder / name).exists() else None
-    (folder / name).mkdir() if "." in name else (folder / name).touch()
+    place = folder / name
+    if place.exists():
+        place.rename(tmp_path / "away")
+    if place.suffix:
+        place.mkdir()
+    else:
+        place.touch()
     before = sorted(folder.rglob("*"))
     for words in (("report", folder), ("adapt", folder, "--data", tiny_file)):
         assert call(*words) == 1
         error = capsys.readouterr().err
-        assert f"{name}: not what a run keeps" in error and f"hint:  move {folder / name}" in error
+        assert f"{name}: not what a run keeps" in error and f"hint:  move {place}" in error
     assert sorted(folder.rglob("*")) == before
 
 

@@ -32,7 +32,7 @@ from mpdt.train.report.charts import (
 )
 from mpdt.train.report.pictures import curves_sheet, each_task_sheet, tasks_sheet
 from mpdt.train.report.study_tables import report_tables
-from mpdt.train.run.results import scores_in
+from mpdt.train.run.results import scores_in, trained_as
 from mpdt.train.study.cells import CellResult
 from mpdt.train.study.maps import map_pixels, prompt_maps
 from mpdt.version import __version__
@@ -109,10 +109,8 @@ def _maps(
     weights: Path, results: Mapping[str, Any]
 ) -> tuple[list[tuple[str, str]], list[str]]:  # fmt: skip
     """Pictures of the prompts, and why there are none."""
-    of = results.get("identity")
-    run = of.get("training") if isinstance(of, dict) else None
     try:
-        maps = prompt_maps(weights, run) if weights.exists() else {}
+        maps = prompt_maps(weights, trained_as(results)) if weights.exists() else {}
     except MpdtError as error:
         return [], [f"No maps of the prompts: {error.message()}"]
     return [(name, picture(map_pixels(one), lossless=True)) for name, one in maps.items()], []

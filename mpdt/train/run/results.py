@@ -109,13 +109,19 @@ def read_results(folder: Path | str) -> Results:
     return results
 
 
+def trained_as(results: Mapping[str, Any]) -> str:
+    """SHA-256 of all that the training read; "" where the results do not say."""
+    identity = results.get("identity")
+    return str(identity.get("training")) if isinstance(identity, dict) else ""
+
+
 def _check_whose(results: Mapping[str, Any], folder: RunFolder) -> None:
     """Raises: FormatError where config.json is there, whole, and tells of another training."""
-    ours, wanted = results.get("identity"), ""
+    found, wanted = trained_as(results), ""
     with suppress(MpdtError):  # whoever needs config.json says what is wrong with it
         training = read_json(folder.config).get("training")
         wanted = Identity(training, {}).hashes["training"] if isinstance(training, dict) else ""
-    if wanted and isinstance(ours, dict) and (found := str(ours.get("training"))) != wanted:
+    if wanted and found and found != wanted:
         raise FormatError("the results of another run", where=str(folder.results),
                           expected=wanted[:12], found=found[:12], hint=_AGAIN)  # fmt: skip
 
@@ -136,8 +142,7 @@ def read_results_file(path: Path) -> dict[str, Any]:
             hint="a run writes them at its end; the same command continues it",
         ) from error
     except FormatError as error:
-        raise FormatError(error.what, where=error.where, expected=error.expected,
-                          found=error.found, hint=_AGAIN) from error  # fmt: skip
+        raise error.with_hint(_AGAIN) from error
     except (ValueError, KeyError) as error:
         found = f"no {error.args[0]}" if isinstance(error, KeyError) else str(error)
         raise FormatError("not the results of a run", where=str(path), found=found) from error

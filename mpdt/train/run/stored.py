@@ -39,7 +39,7 @@ from mpdt.train.run.config import TrainConfig, to_plain
 from mpdt.train.run.folder import RunFolder, stored_settings, stored_slice
 from mpdt.train.run.older import as_stored
 from mpdt.train.run.prepare import Prepared, prepare
-from mpdt.train.run.results import read_results
+from mpdt.train.run.results import read_results, trained_as
 
 Adaptation = Callable[[PromptPolicy, TrainedPrompts, AdaptationSet, ReturnTable], Tensor]
 """An adaptation of your own: policy, trained prompts, X and returns of the n test tasks ->
@@ -89,9 +89,7 @@ def bundle_of_run(folder: RunFolder, data: Path | str | None, inside: bool) -> C
         try:
             contents = read_contents(folder.policy)
         except (FormatError, MissingFileError) as error:
-            hint = f"move {quoted(folder.policy)} away; then it is made of the weights"
-            raise type(error)(error.what, where=error.where, expected=error.expected,
-                              found=error.found, hint=hint) from error  # fmt: skip
+            raise error.with_hint(_without(folder.policy)) from error
         return contents if inside else without_backbone(contents)
     prepared = _prepare(folder, data)
     trained, rows = _weights(folder, prepared), prepared.material.test_rows
@@ -105,14 +103,14 @@ def bundle_of_run(folder: RunFolder, data: Path | str | None, inside: bool) -> C
 
 def check_same_run(config: BundleConfig, results: Mapping[str, Any], policy: Path) -> None:
     """Raises: FormatError where a card would tell of another training than the bundle's."""
-    ours = results.get("identity")
-    found = config.training.identity.get("training")
-    wanted = ours.get("training") if isinstance(ours, dict) else None
-    if wanted is not None and found != wanted:
-        raise FormatError("the bundle of another run", where=str(policy),
-                          expected=str(wanted)[:12], found=str(found)[:12],
-                          hint=f"move {quoted(policy)} away; then it is made of the weights"
-                          )  # fmt: skip
+    wanted, found = trained_as(results), config.training.identity.get("training", "")
+    if wanted and found != wanted:
+        raise FormatError("the bundle of another run", where=str(policy), expected=wanted[:12],
+                          found=found[:12], hint=_without(policy))  # fmt: skip
+
+
+def _without(policy: Path) -> str:
+    return f"move {quoted(policy)} away; then it is made of the weights"
 
 
 def load_trained(run: Path | str, data: Path | str | None = None) -> Trained:

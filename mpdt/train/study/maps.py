@@ -24,12 +24,12 @@ SHADES = 8
 BLUE, WHITE, RED = ((33.0, 102.0, 172.0), (247.0, 247.0, 247.0), (178.0, 24.0, 43.0))
 
 
-def prompt_maps(weights: Path, run: str | None = None) -> dict[str, npt.NDArray[np.float32]]:
+def prompt_maps(weights: Path, run: str = "") -> dict[str, npt.NDArray[np.float32]]:
     """P_c and the first P_k of a trained run by name, (l, s) each; none for prompts of other kinds.
 
     Args:
         weights: of a run, or as `keep_prompts` wrote them.
-        run: hash of the training they have to be of; None = any.
+        run: hash of the training they have to be of; "" = any.
     Raises: MissingFileError, FormatError.
     """
     _, tensors = _task_prompts(weights, run)
@@ -54,7 +54,7 @@ def keep_prompts(weights: Path, path: Path) -> bool:
     return bool(tensors)
 
 
-def _task_prompts(weights: Path, run: str | None = None) -> tuple[WeightsHeader, dict[str, Tensor]]:
+def _task_prompts(weights: Path, run: str = "") -> tuple[WeightsHeader, dict[str, Tensor]]:
     """Header; `NAMES`, of the first tasks, or nothing where prompts are of another kind."""
     from mpdt.model.weights import load_weights
 
