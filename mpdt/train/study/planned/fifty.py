@@ -82,6 +82,9 @@ FIFTY: tuple[Cell, ...] = (
     _fifty("mt50", PLAIN, {"quality": "medium"}, _NOTHING_OR_X, label="plain-medium"),
     _fifty("mt50", PLAIN, {"quality": "medium", "multitask": {"steps": 16500}}, _NOTHING_OR_X,
            BY_STEPS, label="plain-longer-medium"),
+    # Neither more updates nor another error helped there; weights that are all trained may.
+    _fifty("mt50", "MPDT-WP", SCRATCH_ONES, {"quality": "medium"}, _NOTHING_OR_X, BY_STEPS,
+           label="WP-ones-medium"),
     # Three times the updates.
     *(_fifty(data, "MPDT-ones", {"multitask": {"steps": 16500}}, _NOTHING_OR_X, label="ones-longer")
       for data in ("mt50", "ml45")),
