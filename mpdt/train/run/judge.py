@@ -103,10 +103,10 @@ class Judge:
     def _keep_trials(self, candidate: Candidate, method: str) -> None:
         """The own episodes that a row read, as data of their own."""
         assert self.keeper is not None
-        row = self.keeper.row(self.bench, f"{candidate.name}-own", f"{method}, own episodes",
-                              candidate.tried[0].policy, candidate.reads)  # fmt: skip
-        row.kept.episodes += candidate.tried
-        row.write(self.trained.material.test_rows, self.config.adapt.trials.seed)
+        with self.keeper.row(self.bench, f"{candidate.name}-own", f"{method}, own episodes",
+                             candidate.tried[0].policy, candidate.reads) as row:  # fmt: skip
+            row.kept.episodes += candidate.tried
+            row.write(self.trained.material.test_rows, self.config.adapt.trials.seed)
 
     def _score(
         self,
@@ -120,9 +120,9 @@ class Judge:
         """A row of the table; `name` is that of its prompts."""
         if self.keeper is None:
             return self.bench.score(block, method, rows, actor, reads)
-        row = self.keeper.row(self.bench, name, method, actor.fingerprint, reads)
-        scores = self.bench.score(block, method, rows, actor, reads, row.kept)
-        row.write(rows)
+        with self.keeper.row(self.bench, name, method, actor.fingerprint, reads) as row:
+            scores = self.bench.score(block, method, rows, actor, reads, row.kept)
+            row.write(rows)
         return scores
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from mpdt.train.evaluate.rollout import Evaluation, EvaluationSettings
 from mpdt.train.evaluate.score import REFERENCES, Block, Reads, Score, encode_results, with_verdicts
 from mpdt.train.fit.data import ALL, Material
 from mpdt.train.run.bench import Bench
-from mpdt.train.run.keep import Keeper
+from mpdt.train.run.keep import Keeper, KeptRow
 from mpdt.train.run.load import local_folder
 from mpdt.train.run.outside import Named, OutsideActor, importing_from, load_callable
 from mpdt.train.run.prepare import check_sizes
@@ -145,21 +146,16 @@ class _CallableRows:
     def of(self, block: Block, rows: Sequence[int]) -> Iterator[list[Score]]:
         bench, named, material = self.bench, self.named, self.bench.material
         reads = self.reads if block == "test" else None
-        row = self.keeper and self.keeper.row(
-            bench,
-            "policy" if material.one_table else block,
-            named.words,
-            named.fingerprint,
-            reads,
-        )
-        found = [
-            bench.run(block, f"{block}: {named.words}", [one],
-                      OutsideActor(named, material.dataset.tasks.names[one], material.family),
-                      row.kept if row else None)
-            for one in rows
-        ]  # fmt: skip
-        if row:
-            row.write(rows)
+        name = "policy" if material.one_table else block
+        with _kept(self.keeper, bench, name, named.words, named.fingerprint, reads) as row:
+            found = [
+                bench.run(block, f"{block}: {named.words}", [one],
+                          OutsideActor(named, material.dataset.tasks.names[one], material.family),
+                          row.kept if row else None)
+                for one in rows
+            ]  # fmt: skip
+            if row:
+                row.write(rows)
         yield bench.scores_of(block, named.words, rows, _joined(found), reads)
 
 
@@ -206,11 +202,11 @@ class _BundleRows:
             chosen.tasks, tasks[0], bundle.config.window,
         )  # fmt: skip
         method = f"{bundle.config.name} {spoken(start)}"
-        row = self.keeper and self.keeper.row(bench, name, method, policy.fingerprint, reads)
         actor = _BundleActor(policy, tasks)
-        scores = bench.score(block, method, rows, actor, reads, row.kept if row else None)
-        if row:
-            row.write(rows)
+        with _kept(self.keeper, bench, name, method, policy.fingerprint, reads) as row:
+            scores = bench.score(block, method, rows, actor, reads, row.kept if row else None)
+            if row:
+                row.write(rows)
         return scores
 
 
@@ -259,6 +255,16 @@ def _keeper(
     both = bool(material.train_rows and material.test_rows) and not material.one_table
     single = single and not (both and len(subject.bench.settings.blocks) > 1)
     return Keeper(subject.keep, name, facts, subject.progress.say, single)
+
+
+def _kept(
+    keeper: Keeper | None, bench: Bench, name: str, method: str, fingerprint: bytes,
+    reads: Reads | None,
+) -> AbstractContextManager[KeptRow | None]:  # fmt: skip
+    """The row's file, if episodes are kept."""
+    if keeper is None:
+        return nullcontext()
+    return keeper.row(bench, name, method, fingerprint, reads)
 
 
 def _joined(found: Sequence[Evaluation]) -> Evaluation:

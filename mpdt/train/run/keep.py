@@ -9,7 +9,8 @@ Seeds are the evaluation's, so `verify` replays them; quality is `policy`, as in
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from mpdt.data.store.layout import checked_name
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.writer import write_file
-from mpdt.disk import check_replaceable, expect_folder
+from mpdt.disk import check_replaceable, expect_folder, holding
 from mpdt.errors import DataError, FormatError
 from mpdt.train.evaluate.rollout import Kept
 from mpdt.train.evaluate.score import Reads
@@ -54,12 +55,13 @@ class Keeper:
         self.target = self.target.absolute()  # a policy may go to another folder
         expect_folder(self.target.parent)
 
+    @contextmanager
     def row(
         self, bench: Bench, name: str, method: str, fingerprint: bytes, reads: Reads | None = None
-    ) -> KeptRow:
-        """Where the episodes of one row will go; asked before they are run.
+    ) -> Iterator[KeptRow]:
+        """Where the episodes of one row will go; asked before they are run, and held until then.
 
-        Raises: DataError if something else is there; StorageError.
+        Raises: DataError if something else is there; BusyError; StorageError.
         """
         path = self.target
         if not self.single:
@@ -67,8 +69,10 @@ class Keeper:
         facts = {**self.facts, "method": method, "start": name, "reads": reads or "nothing"}
         label = self.actor if self.single else f"{self.actor} {name}"
         row = KeptRow(path, bench, Acted(label, fingerprint, facts), Kept(fingerprint), self.say)
-        row.check()
-        return row
+        # Judging takes hours: what another one keeps there meanwhile would be replaced at the end.
+        with holding(path, amends=True, wait_s=0):
+            row.check()
+            yield row
 
 
 @dataclass

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import msgspec
@@ -141,3 +145,31 @@ def test_another_familys_tasks_are_met_without_prompts_of_their_own(trained, tmp
     found = told(json.loads(printed.out), "train", "r none")
     assert set(found) == {"v0.075", "v0.150", "mean"} and np.isfinite(list(found.values())).all()
     assert "of another family: cheetah_dir acts in cheetah_vel" in printed.err
+
+
+def test_what_is_kept_belongs_to_one_judgement_at_a_time(trained, tmp_path, monkeypatch, capsys):
+    """Another policy that is judged meanwhile is told at once; nobody's episodes are replaced."""
+    (tmp_path / "meeting.py").write_text(
+        "import numpy as np\n\n"
+        "def still(observations, rewards, starts, task):\n    return np.zeros((len(starts), 6))\n\n"
+        "def meets(observations, rewards, starts, task):\n"
+        "    if not met:\n        met.append(judge())\n    return np.ones((len(starts), 6))\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    words = ["evaluate", "--data", trained.parent.parent / "tiny.h5", "--keep", "k.h5", "-q",
+             "--evaluation.horizon", 2, "--evaluation.episodes", 1, "--policy"]  # fmt: skip
+
+    def judge():
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+        command = [sys.executable, "-m", "mpdt.train.cli", *map(str, words), "meeting:still"]
+        return subprocess.run(command, env=environment, capture_output=True, text=True)
+
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = importlib.import_module("meeting")
+    module.met, module.judge = [], judge
+    assert run(*words, "meeting:meets") == 0
+    (other,) = module.met
+    assert other.returncode == 4 and "k.h5: another process writes it" in other.stderr
+    assert (open_dataset(tmp_path / "k.h5").steps.actions[:] == 1).all()
+    assert run(*words, "meeting:still") == 1
+    assert "something else is there" in capsys.readouterr().err
