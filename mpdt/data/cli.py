@@ -31,13 +31,13 @@ from mpdt.data.verbs.exchange import Export, Import
 from mpdt.data.verbs.family import CheckFamily
 from mpdt.data.verbs.look import Info, List, Show
 from mpdt.data.verbs.make import Calibrate, Collect, Plans, Pretrain
-from mpdt.data.verbs.options import Options
+from mpdt.data.verbs.options import Options, how_to_go_on
 from mpdt.data.verbs.pages import Report, View
 from mpdt.data.verbs.reference import Reference
 from mpdt.data.verbs.remote import Pull, Push
 from mpdt.data.verbs.trust import Lock, Verify
 from mpdt.data.workers.processes import pin_kernel
-from mpdt.errors import MpdtError, UsageError, told, unknown_name, visible
+from mpdt.errors import MpdtError, UsageError, told, unknown_name
 from mpdt.interruption import Interrupted, interruptible
 from mpdt.pipe import reader_may_leave
 
@@ -97,8 +97,8 @@ def _answer(argv: Sequence[str] | None) -> int:
         return shown.exit_code
     except Interrupted as stop:
         again = [word for word in words if word not in ("--restart", "--no-resume")]
-        hint = visible(f"interrupted; go on with: mpdt-data {shlex.join(again)}")
-        sys.stderr.write(hint + "\n")
+        once = words[:1] in (["import"], ["export"])
+        sys.stderr.write(how_to_go_on(f"{PROG} {shlex.join(again)}", once) + "\n")
         return stop.exit_code
     return 0
 

@@ -13,6 +13,7 @@ from mpdt.disk.refusal import disk, expect_folder
 from mpdt.disk.replace import (
     appearing,
     check_replaceable,
+    last_put,
     put_file,
     put_folder,
     replacing,
@@ -20,5 +21,5 @@ from mpdt.disk.replace import (
 )
 
 __all__ = ["Hold", "Seen", "appearing", "check_replaceable", "disk", "expect_folder", "holding",
-           "put_file", "put_folder", "real_path", "replacing", "reserve", "sha256", "sweep",
-           "sync", "sync_tree", "write_bytes"]  # fmt: skip
+           "last_put", "put_file", "put_folder", "real_path", "replacing", "reserve", "sha256",
+           "sweep", "sync", "sync_tree", "write_bytes"]  # fmt: skip

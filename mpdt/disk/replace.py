@@ -23,6 +23,8 @@ _HEAD_BYTES = 64
 _NO_LINKS = {errno.EPERM, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EMLINK}
 _NO_SUCH_RENAME = _NO_LINKS | {errno.EINVAL}
 _HERE, _NOREPLACE = -100, 1  # AT_FDCWD and RENAME_NOREPLACE of Linux
+_last: list[tuple[Path, Path, Seen | None]] = []
+"""What was put at its place last: the target as named, behind all links, and what was put."""
 
 
 @contextmanager
@@ -71,6 +73,7 @@ def _beside(
     One that is there already is of a call around this one, and stays.
     """
     is_ours = True
+    _last.clear()
     try:
         with disk(target):
             try:
@@ -145,6 +148,7 @@ def put_file(temporary: Path, target: Path) -> None:
         sync(temporary)
         if Seen.at(hold.path) != hold.found:
             raise written_meanwhile(target)
+        _last[:] = [(target, hold.path, Seen.at(temporary))]
         if hold.found is None:
             _put_new(temporary, hold.path, target)
         else:
@@ -163,6 +167,7 @@ def put_folder(temporary: Path, target: Path) -> None:
         sync_tree(temporary)
         if hold.found is not None or Seen.at(hold.path) is not None:
             raise written_meanwhile(target)
+        _last[:] = [(target, hold.path, Seen.at(temporary))]
         try:
             temporary.rename(hold.path)  # replaces no file, and no folder that holds anything
         except OSError as error:
@@ -171,6 +176,15 @@ def put_folder(temporary: Path, target: Path) -> None:
             raise
         hold.found = Seen.at(hold.path)
         sync(hold.path.parent)
+
+
+def last_put() -> Path | None:
+    """What this process put at its place last, if nothing was begun since; of a signal that came
+    during the rename nobody else knows.
+    """
+    with suppress(OSError):
+        return next((target for target, path, seen in _last if Seen.at(path) == seen), None)
+    return None
 
 
 def _put_new(temporary: Path, path: Path, target: Path) -> None:

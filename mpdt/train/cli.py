@@ -39,7 +39,8 @@ import tyro
 
 from mpdt.argument import refuse_folder_names
 from mpdt.data.remote.address import hide
-from mpdt.errors import BusyError, MpdtError, told, visible
+from mpdt.data.verbs.options import how_to_go_on
+from mpdt.errors import BusyError, MpdtError, told
 from mpdt.interruption import Interrupted, interruptible
 from mpdt.pipe import reader_may_leave
 from mpdt.train.acting import bundle, judge, judge_others, roll_out, travel, until_stopped
@@ -98,7 +99,7 @@ def _answer(verb: str, arguments: list[str]) -> int:
         return execute(command, rest)
     except Interrupted as stop:
         again = shlex.join([PROG, verb, *arguments])
-        sys.stderr.write(visible(f"interrupted; go on with: {again}") + "\n")
+        sys.stderr.write(how_to_go_on(again, once=verb == "bundle") + "\n")
         return stop.exit_code
     except (MpdtError, OSError) as error:
         shown = told(error)

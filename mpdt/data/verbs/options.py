@@ -43,6 +43,20 @@ class Options(ABC):
         print_result(result, text, self.json)
 
 
+def how_to_go_on(again: str, once: bool) -> str:
+    """What to say after a signal: the same command, unless it was done already.
+
+    Args:
+        again: that command.
+        once: it replaces nothing, not even what it has made itself.
+    """
+    from mpdt.disk import last_put
+
+    if once and (path := last_put()) is not None:
+        return visible(f"interrupted; {path} is whole, nothing is left to do")
+    return visible(f"interrupted; go on with: {again}")
+
+
 def print_result(result: Any, text: str, as_json: bool) -> None:
     """On stdout: one JSON document, or text as it can be shown."""
     if as_json:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 
@@ -212,3 +213,16 @@ def test_a_lock_that_a_kill_left_beside_a_bundle_goes(bundle, tmp_path):
     with pytest.raises(StorageError, match="something is there already"):
         check_free(target)
     assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_signal_behind_the_last_rename_is_not_told_to_go_on(
+    finished, tmp_path, monkeypatch, capsys, late
+):
+    """The same command would refuse what it made itself."""
+    name = "sync" if late else "sync_tree"
+    monkeypatch.setattr(f"mpdt.disk.replace.{name}", lambda path: signal.raise_signal(2))
+    assert run("bundle", finished, "-o", tmp_path / "b") == 130
+    told = capsys.readouterr().err
+    assert ("nothing is left to do" in told) == late == (tmp_path / "b").exists()
+    assert ("go on with: mpdt-train bundle" in told) != late
