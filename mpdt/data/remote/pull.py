@@ -46,15 +46,18 @@ class Pulled:
 
 
 def pull(
-    url: str, target: Path | None = None, lock: Path | None = None, tell: Tell = lambda *_: None
-) -> Pulled:
+    url: str, target: Path | None = None, lock: Path | None = None, tell: Tell = lambda *_: None,
+    inside: bool = False,
+) -> Pulled:  # fmt: skip
     """Bring what is at `url`: a dataset file, or what `push` made of an export.
 
     Broken off, it goes on where it stopped if the source is still the same.
 
     Args:
-        target: default: the URL's last name, here.
+        target: default: the URL's last name, here. Into a folder that is there a file goes under
+            its own name, as with cp.
         lock: only what this datasets.lock holds will do.
+        inside: `target` ended with a slash: of a file it is the folder, there or not.
     Raises: MissingFileError, RemoteError; DataError for what arrived damaged and for something
         else at `target`; UsageError; StorageError; BusyError.
     """
@@ -62,11 +65,14 @@ def pull(
         name = last_name(place.path) or last_name(place.path.rstrip("/"))
         target = target or Path(name or "pulled")
         expect_folder(target.parent)
+        is_there = target.is_dir()
+        file = target / (name or "pulled") if inside or is_there else target
+        held = file if is_there else target
+        stack.enter_context(holding(held, wait_s=0, kept="what came so far is kept"))
         # A signature is for one file alone: nothing lies beside it.
-        stack.enter_context(holding(target, wait_s=0, kept="what came so far is kept"))
         is_signed = place.is_read_only and bool(re.search("[?;]", place.path))
         if not is_signed and (content := place.read(place.path + SUFFIX)):
-            return _pull_file(place, target, _single(content, place), lock, tell)
+            return _pull_file(place, file, _single(content, place), lock, tell)
         refused: list[RefusedError] = []
         try:
             is_file = place.state(place.path) is not None
@@ -84,7 +90,7 @@ def pull(
             raise MissingFileError("no file there, and no folder with a list of sums",
                                    where=place.address, expected=f"a file, or {FILE_NAME} in it",
                                    hint="mpdt-data push writes that list")  # fmt: skip
-        return _pull_file(place, target, None, lock, tell)
+        return _pull_file(place, file, None, lock, tell)
 
 
 def _single(content: bytes, place: Place) -> str:
@@ -98,6 +104,7 @@ def _pull_file(
     place: Place, target: Path, sum: str | None, lock: Path | None, tell: Tell
 ) -> Pulled:
     proof = "sums" if sum else "digests"
+    expect_folder(target.parent)
     if target.exists():
         if sum is None or not target.is_file() or sha256(target) != sum:
             raise _in_the_way(target)

@@ -71,8 +71,9 @@ class Pull(Options):
 
     url: Url
     """What to bring."""
-    output: Annotated[Path | None, arg(aliases=["-o"], metavar="FILE|FOLDER")] = None
-    """Where to put it; default: its own name, here. Nothing is replaced."""
+    output: Annotated[str | None, arg(aliases=["-o"], metavar="FILE|FOLDER")] = None
+    """Where to put it; default: its own name, here. A file goes into a folder that is there.
+    Nothing is replaced."""
     locked: bool = False
     """Only what datasets.lock holds will do."""
     spec: Annotated[Path | None, arg(metavar="YAML")] = None
@@ -85,7 +86,11 @@ class Pull(Options):
         from mpdt.data.spec.catalog import load_catalog
 
         lock = lock_path(load_catalog(self.spec).path) if self.locked else None
-        found = pull(revealed(self.url), self.output, lock=lock, tell=line_writer("pull", self.say))
+        found = pull(
+            revealed(self.url), None if self.output is None else Path(self.output), lock=lock,
+            tell=line_writer("pull", self.say),
+            inside=(self.output or "").endswith(("/", "/.")),  # which `Path` forgets
+        )  # fmt: skip
         result = {
             "path": str(found.path),
             "files": found.num_files,

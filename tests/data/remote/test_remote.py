@@ -385,6 +385,24 @@ def test_a_file_goes_into_a_folder_that_is_there(run: Run, collected: Path) -> N
     assert code == 0 and out.startswith("pushed  backup/tiny.h5")
     assert sorted(p.name for p in Path("backup").iterdir()) == ["tiny.h5", "tiny.h5.sha256"]
     assert run("pull", "backup/tiny.h5")[0] == 0
+    code, _, err = run("pull", "backup/tiny.h5", "-o", "back/")
+    assert code == 1 and err.startswith("error: back: the folder does not exist")
+    assert not Path("back").exists()
+    Path("back").mkdir()
+    for word, done in (("back/", "pulled"), ("back", "nothing to do"), ("back/.", "nothing to do")):
+        code, out, err = run("pull", "backup/tiny.h5", "-o", word)
+        assert code == 0 and out.startswith(done) and "back/tiny.h5" in out, err
+    assert [path.name for path in Path("back").iterdir()] == ["tiny.h5"]
+
+
+def test_an_export_is_the_folder_that_is_named(run: Run, export: Path) -> None:
+    assert run("push", export, "there")[0] == 0
+    for word, done in (("set/", "pulled"), ("set/", "nothing to do"), ("set", "nothing to do")):
+        code, out, err = run("pull", "there", "-o", word)
+        assert code == 0 and out.startswith(done), err
+    assert sorted(p.name for p in Path("set").iterdir()) == sorted(
+        p.name for p in Path("there").iterdir()
+    )
 
 
 @pytest.mark.parametrize("kind", ["link", "fifo"])
