@@ -25,6 +25,8 @@ _KINDS = {
     stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
 }  # fmt: skip
 
+OWNER = "ask whoever owns it (ls -ld shows who)"
+
 MAX_NESTING = 50
 """Of JSON; ours is ten deep."""
 HEAD_BYTES = 512
@@ -58,9 +60,25 @@ def refuse_special(path: Path) -> os.stat_result:
     except FileNotFoundError as error:
         raise missing(path) from error
     except (OSError, ValueError) as error:  # a loop of links, a name with NUL
-        raise StorageError("cannot be opened", where=str(path), found=str(error)) from error
+        raise _closed(path, error) from error
     _refuse(path, found)
     return found
+
+
+def refuse_closed(folder: Path) -> None:
+    """Before a folder is searched: of one that the system will not list, `glob` says it is empty.
+
+    Raises: StorageError.
+    """
+    try:
+        os.scandir(folder).close()
+    except OSError as error:
+        raise _closed(folder, error) from error
+
+
+def _closed(path: Path, error: OSError | ValueError) -> StorageError:
+    hint = OWNER if isinstance(error, PermissionError) else ""
+    return StorageError("cannot be opened", where=str(path), found=str(error), hint=hint)
 
 
 def missing(path: Path, what: str = "no such file") -> MissingFileError:
@@ -81,7 +99,7 @@ def open_plain(path: Path) -> BinaryIO:
     except FileNotFoundError as error:
         raise missing(path) from error
     except OSError as error:
-        raise StorageError("cannot be opened", where=str(path), found=str(error)) from error
+        raise _closed(path, error) from error
     stream = os.fdopen(handle, "rb")
     try:
         _refuse(path, os.fstat(handle))

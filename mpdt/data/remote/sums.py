@@ -14,7 +14,7 @@ from mpdt.data.verify.finding import Outcome
 from mpdt.data.verify.verify import verify
 from mpdt.disk import sha256
 from mpdt.errors import DataError, FormatError
-from mpdt.reading import missing, refuse_special
+from mpdt.reading import missing, refuse_closed, refuse_special
 
 SUFFIX = ".sha256"
 FILE_NAME = "SHA256SUMS"
@@ -25,7 +25,7 @@ def sums_of(source: Path) -> dict[str, str]:
     """SHA-256 by path: of the file, or of every file below the folder.
 
     Raises: MissingFileError; FormatError for a pipe, socket or device; DataError for an empty
-        folder and for names that a line cannot hold.
+        folder and for names that a line cannot hold; StorageError where the disk refuses.
     """
     if source.is_file():
         return {source.name: sha256(source)}
@@ -33,12 +33,15 @@ def sums_of(source: Path) -> dict[str, str]:
         raise missing(source, "no such file or folder")
     if not source.is_dir():
         refuse_special(source)
+    refuse_closed(source)
     below = sorted(source.rglob("*"))
     for path in below:
         # What a link leads to may be anything of this machine; a FIFO would never end.
         if path.is_symlink() or not (path.is_file() or path.is_dir()):
             raise DataError("a link or special file cannot be sent", where=str(path),
                             hint="put a copy in its place, or leave it out")  # fmt: skip
+        if path.is_dir():
+            refuse_closed(path)
     files = [path for path in below if path.is_file()]
     names = {path.relative_to(source).as_posix(): path for path in files}
     names.pop(FILE_NAME, None)

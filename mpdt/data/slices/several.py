@@ -18,7 +18,7 @@ from mpdt.data.slices.join import join
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset, parse_ref
 from mpdt.errors import MissingFileError, UsageError
-from mpdt.reading import refuse_special
+from mpdt.reading import refuse_closed, refuse_special
 
 SUFFIX = ".h5"
 
@@ -75,6 +75,7 @@ def one_ref(words: Sequence[Path | str]) -> str:
 def _files(path: Path) -> list[Path]:
     """The files that one word means."""
     if path.is_dir():
+        refuse_closed(path)
         found = _plain(path.glob(f"*{SUFFIX}"))
         if not found:
             raise MissingFileError(f"no {SUFFIX} file in this folder", where=str(path),

@@ -79,13 +79,14 @@ def _entry_row(spec: DatasetSpec, path: Path) -> dict[str, Any]:
 
 def _file_row(path: Path) -> dict[str, Any]:
     from mpdt.data.store.reader import open_dataset
-    from mpdt.errors import MpdtError
+    from mpdt.errors import MpdtError, StorageError
 
     try:
         data = open_dataset(path)
     except MpdtError as error:
+        damaged = "" if isinstance(error, StorageError) else "damaged: "
         return {
-            "name": "", "version": "", "family": "", "state": f"damaged: {error.what}",
+            "name": "", "version": "", "family": "", "state": f"{damaged}{error.what}",
             "file": str(path), "episodes": "",
         }  # fmt: skip
     return {

@@ -56,8 +56,11 @@ class Report(Options):
         from mpdt.disk import check_replaceable, holding
         from mpdt.draw.html import write_page
         from mpdt.errors import UsageError
+        from mpdt.reading import refuse_closed
 
         path, _ = parse_ref(self.file)
+        if path.is_dir():
+            refuse_closed(path)
         if path.is_dir() and not any(path.glob("*.h5")):
             raise UsageError("a folder without data files", where=str(path),
                              hint="mpdt-train report is for runs and studies")  # fmt: skip

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mpdt.draw.table import Table
+from mpdt.reading import refuse_closed
 from mpdt.train.evaluate.aggregate import iqm, seed_interval, seed_means, stratified_interval
 from mpdt.train.evaluate.score import MEAN, REFERENCES, Block, Score
 from mpdt.train.study.cells import CellResult, read_cell_files
@@ -83,9 +84,14 @@ def is_study(folder: Path) -> bool:
 
 
 def studies_in(folder: Path) -> list[Path]:
-    """The folders of cells: this one, or those right below it that are no runs."""
+    """The folders of cells: this one, or those right below it that are no runs.
+
+    Raises: StorageError for a folder that the system will not list.
+    """
     if any(folder.glob("*.json")):
         return [] if (folder / "config.json").exists() else [folder]
+    for place in (folder, *folder.glob("*/")):
+        refuse_closed(place)
     below = sorted({path.parent for path in folder.glob("*/*.json")})
     return [one for one in below if not (one / "config.json").exists()]
 
