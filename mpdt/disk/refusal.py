@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from mpdt.errors import MpdtError, StorageError, quoted
+from mpdt.reading import OWNER
 
 # HDF5 often keeps the text of an error only, hence both.
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -28,6 +30,20 @@ def expect_folder(folder: Path) -> None:
                            hint="choose another folder or name")  # fmt: skip
     raise StorageError("the folder does not exist", where=str(folder),
                        hint=f"mkdir -p {quoted(folder)}")  # fmt: skip
+
+
+def expect_rights(path: Path, grows: bool = False) -> None:
+    """What is read, added to or put aside at the end would fail there, after hours of work.
+
+    Args:
+        grows: a file that is added to; others are replaced by their folder's rights.
+    Raises: StorageError unless a file may be read, a folder emptied.
+    """
+    rights = os.R_OK | (os.W_OK if grows else 0)
+    if path.is_dir():
+        rights |= os.W_OK | os.X_OK
+    if not os.access(path, rights):
+        raise StorageError("no permission to use it", where=str(path), hint=OWNER)
 
 
 @contextmanager

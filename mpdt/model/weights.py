@@ -18,6 +18,7 @@ from torch import Tensor
 
 from mpdt.disk import disk, write_bytes
 from mpdt.errors import FormatError, MissingFileError, ShapeError
+from mpdt.reading import open_plain
 
 FORMAT = "mpdt-weights/1"
 _MOST_HEADER = 2**24  # bytes; ours have some thousands
@@ -58,7 +59,7 @@ def load_weights(
     """Read and compare with what the caller expects; None compares nothing.
 
     Raises: MissingFileError, FormatError (not safetensors, no header, another format or kind,
-    another hash).
+    another hash); StorageError where the disk refuses.
     """
     if not path.is_file():
         is_folder = path.is_dir()
@@ -66,6 +67,7 @@ def load_weights(
             "no such file of weights", where=str(path), found="a folder" if is_folder else "",
             hint="move it away" if is_folder else "`mpdt-train --data FILE` writes one",
         )  # fmt: skip
+    open_plain(path).close()  # what the disk refuses is no damage
     try:
         _check_length(path)
         with safe_open(path, framework="pt") as stored:

@@ -12,7 +12,7 @@ import msgspec
 
 from mpdt.disk import disk, sync
 from mpdt.errors import FormatError, StorageError
-from mpdt.reading import decode_json
+from mpdt.reading import OWNER, decode_json
 
 
 class Line(msgspec.Struct, frozen=True):
@@ -108,7 +108,7 @@ class MetricsLog:
             lines = self.path.read_bytes().splitlines(keepends=True)
         except OSError as error:
             raise StorageError("cannot read", where=str(self.path), found=str(error),
-                               hint="move it away") from error  # fmt: skip
+                               hint=OWNER) from error  # fmt: skip
         if lines and not lines[-1].endswith(b"\n"):
             del lines[-1]
         records = [self._record(line, number) for number, line in enumerate(lines, 1)]

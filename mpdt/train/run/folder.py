@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from mpdt.data.spec.change import changed_keys
-from mpdt.disk import disk, holding, sync, write_bytes
+from mpdt.disk import disk, expect_rights, holding, sync, write_bytes
 from mpdt.errors import (
     FormatError,
     MissingFileError,
@@ -109,9 +109,7 @@ class RunFolder:
         Raises: FormatError for a link, through which would be written; for a folder in place of a
             file, or a file in place of a folder.
         """
-        for path in sorted(self.path.glob("*")):
-            if not _OURS.fullmatch(path.name):
-                continue
+        for path in filter(_is_ours, sorted(self.path.glob("*"))):
             if path.is_symlink():
                 raise FormatError("a link in the folder of a run", where=str(path),
                                   found=str(path.readlink()),
@@ -121,6 +119,10 @@ class RunFolder:
                 raise FormatError("not what a run keeps under this name", where=str(path),
                                   expected=wanted, found=found,
                                   hint=f"move {quoted(path)} away")  # fmt: skip
+
+
+def _is_ours(path: Path) -> bool:
+    return _OURS.fullmatch(path.name) is not None
 
 
 def locate(runs_dir: Path, name: str) -> RunFolder:
@@ -155,6 +157,8 @@ def inspect(folder: RunFolder, identity: Identity, restart: bool, judges: bool =
             return
         if not restart:  # which removes them
             folder.check_entries()
+            for entry in filter(_is_ours, sorted(path.iterdir())):
+                expect_rights(entry, grows=entry == folder.log.path)
         if folder.config.exists():
             if not restart:
                 _compare(folder, identity, judges)
@@ -238,11 +242,13 @@ def _anew(folder: RunFolder) -> str:
 def _read_config(folder: RunFolder) -> dict[str, Any]:
     """config.json: `training` and `judging`, each with its `data`.
 
-    Raises: TrainingError for what cannot be read or is of another version, FormatError for
-        what is damaged.
+    Raises: TrainingError for what is no JSON or of another version, FormatError for what is
+        damaged; StorageError.
     """
     try:
         stored = read_json(folder.config)
+    except StorageError:  # nothing says that it is damaged
+        raise
     except MpdtError as error:
         raise TrainingError("unreadable", where=str(folder.config),
                             found=error.found or error.what,
