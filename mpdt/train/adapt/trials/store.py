@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from mpdt.data.episode import Episode
-from mpdt.errors import MissingFileError
+from mpdt.errors import FormatError, MissingFileError, quoted
 from mpdt.model.policy import PromptPolicy
 from mpdt.model.weights import WeightsHeader, load_weights, save_weights
 from mpdt.train.adapt.few_shot import own_copy
@@ -112,6 +112,10 @@ class TrialStore:
             header, tensors = load_weights(self.path, kind=KIND, hashes=self.hashes)
         except MissingFileError:
             return None
+        except FormatError as error:
+            raise error.with_hint(
+                f"move {quoted(self.path)} away: the same command makes its trials again"
+            ) from error
         facts = msgspec.convert(header.settings, _Facts)
         contenders = []
         for i, one in enumerate(facts.contenders):

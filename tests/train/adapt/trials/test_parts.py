@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from mpdt.data.spec.tasks import get_family
+from mpdt.errors import FormatError
 from mpdt.train.adapt.trials.climb import Move, next_mixture, next_move
 from mpdt.train.adapt.trials.contenders import Contender, best
 from mpdt.train.adapt.trials.features import SCALES_M, Features
@@ -13,6 +14,7 @@ from mpdt.train.adapt.trials.lived import Lived, Stretch
 from mpdt.train.adapt.trials.planner import Planner, imagine
 from mpdt.train.adapt.trials.race import leader, next_runner
 from mpdt.train.adapt.trials.settings import PlannerSettings, TrialSettings, WorldSettings
+from mpdt.train.adapt.trials.store import TrialStore
 from mpdt.train.adapt.trials.world import pretrain, refit
 
 TINY = WorldSettings(members=2, hidden=16, pretraining=150, refitting=150, batch=64, lr=1e-2)
@@ -224,3 +226,12 @@ def test_no_trial_is_spent_on_moving_to_where_the_best_mixture_is():
 )  # fmt: skip
 def test_a_world_model_is_trained_only_where_something_plans(family, trials, planned):
     assert plans(TrialSettings(**trials), get_family(family)) == planned
+
+
+def test_damaged_trials_are_moved_away_and_made_again(tmp_path):
+    """The weights beside them are whole: nothing has to be trained again."""
+    path = tmp_path / "forward alone.safetensors"
+    path.write_bytes(b"half of it")
+    with pytest.raises(FormatError) as caught:
+        TrialStore(path, {"trials": "0" * 64}).load(shared=None)
+    assert caught.value.hint == f"move '{path}' away: the same command makes its trials again"
