@@ -103,10 +103,14 @@ class Judge:
     def _keep_trials(self, candidate: Candidate, method: str) -> None:
         """The own episodes that a row read, as data of their own."""
         assert self.keeper is not None
-        with self.keeper.row(self.bench, f"{candidate.name}-own", f"{method}, own episodes",
-                             candidate.tried[0].policy, candidate.reads) as row:  # fmt: skip
+        rows = self.trained.material.test_rows
+        with self.keeper.row(
+            self.bench, f"{candidate.name}-own", f"{method}, own episodes",
+            candidate.tried[0].policy, len(candidate.tried) // len(rows), candidate.reads,
+            self.config.adapt.trials.seed,
+        ) as row:  # fmt: skip
             row.kept.episodes += candidate.tried
-            row.write(self.trained.material.test_rows, self.config.adapt.trials.seed)
+            row.write(rows)
 
     def _score(
         self,
@@ -120,7 +124,8 @@ class Judge:
         """A row of the table; `name` is that of its prompts."""
         if self.keeper is None:
             return self.bench.score(block, method, rows, actor, reads)
-        with self.keeper.row(self.bench, name, method, actor.fingerprint, reads) as row:
+        episodes = self.bench.episodes(block)
+        with self.keeper.row(self.bench, name, method, actor.fingerprint, episodes, reads) as row:
             scores = self.bench.score(block, method, rows, actor, reads, row.kept)
             row.write(rows)
         return scores

@@ -57,10 +57,14 @@ class Keeper:
 
     @contextmanager
     def row(
-        self, bench: Bench, name: str, method: str, fingerprint: bytes, reads: Reads | None = None
-    ) -> Iterator[KeptRow]:
+        self, bench: Bench, name: str, method: str, fingerprint: bytes, episodes: int,
+        reads: Reads | None = None, seed: int | None = None,
+    ) -> Iterator[KeptRow]:  # fmt: skip
         """Where the episodes of one row will go; asked before they are run, and held until then.
 
+        Args:
+            episodes: of each task.
+            seed: root of their seeds; None = evaluation's.
         Raises: DataError if something else is there; BusyError; StorageError.
         """
         path = self.target
@@ -68,7 +72,10 @@ class Keeper:
             path = path.with_name(f"{path.stem}-{checked_name(name)}{path.suffix}")
         facts = {**self.facts, "method": method, "start": name, "reads": reads or "nothing"}
         label = self.actor if self.single else f"{self.actor} {name}"
-        row = KeptRow(path, bench, Acted(label, fingerprint, facts), Kept(fingerprint), self.say)
+        seed = bench.settings.seed if seed is None else seed
+        spec = {"seed": seed, "horizon": bench.horizon, "episodes": {NAME: episodes}}
+        acted = Acted(label, fingerprint, facts)
+        row = KeptRow(path, bench, acted, Kept(fingerprint), self.say, spec)
         # Judging takes hours: what another one keeps there meanwhile would be replaced at the end.
         with holding(path, amends=True, wait_s=0):
             row.check()
@@ -77,61 +84,55 @@ class Keeper:
 
 @dataclass
 class KeptRow:
-    """One file to be."""
+    """One file to be; `spec` is what its spec says of the judgement."""
 
     path: Path
     bench: Bench
     acted: Acted
     kept: Kept
     say: Callable[[str], None]
+    spec: Mapping[str, Any]
     origin: Origin = field(init=False)
 
     def __post_init__(self) -> None:
         self.origin = Origin.of(self.bench.material.dataset)
 
     def check(self) -> None:
-        """Raises: DataError unless nothing is there, or what the same policy left before."""
+        """Raises: DataError unless nothing is there, or what the same judgement left before."""
         check_replaceable(self.path)
         if not self.path.exists():
             return
         try:
-            lineage = open_dataset(self.path).lineage
-            last = lineage[-1] if lineage else {}
+            there = open_dataset(self.path)
+            last = there.lineage[-1] if there.lineage else {}
             if (last.get("verb"), last.get("from")) == (VERB, [self.origin.content_hash]) and (
                 (last.get("rule") or {}).get("fingerprint") == self.acted.fingerprint.hex()
             ):
-                return
-            found = f"made by {last.get('verb', 'collect or import')}"
+                if self.spec == {key: there.spec.get(key) for key in self.spec}:
+                    return
+                found = "episodes of the same policy, judged with other settings"
+            else:
+                found = f"made by {last.get('verb', 'collect or import')}"
         except FormatError as error:
             found = error.what
         raise DataError("something else is there", where=str(self.path), found=found,
                         hint="choose another --keep, or move it away first")  # fmt: skip
 
-    def write(self, rows: Sequence[int], seed: int | None = None) -> None:
-        """The file of the episodes that were run.
-
-        Args:
-            seed: root of their seeds; None = evaluation's.
-        Raises: as `write_file`.
-        """
+    def write(self, rows: Sequence[int]) -> None:
+        """The file of the episodes that were run. Raises: as `write_file`."""
         episodes = sorted(self.kept.episodes, key=lambda e: (e.task, e.seed_key[4]))
         write_file(
-            self.path, self._header(rows, seed),
+            self.path, self._header(rows),
             EpisodeSource(episodes, len(episodes), sum(e.length for e in episodes)),
             finish=standard_additions,
         )  # fmt: skip
         self.say(f"kept {len(episodes):,} episodes: {self.path}")
 
-    def _header(self, rows: Sequence[int], seed: int | None) -> FileHeader:
+    def _header(self, rows: Sequence[int]) -> FileHeader:
         bench, tasks = self.bench, [self.origin.tasks[row] for row in sorted(rows)]
         levels = {}
         for task in tasks:
             own = [e.episode_return for e in self.kept.episodes if e.task == task.index]
             same = bench.horizon == bench.material.horizon
             levels[task.index] = level_on(task, float(np.mean(own))) if same else math.nan
-        counts = [sum(e.task == task.index for e in self.kept.episodes) for task in tasks]
-        return header_of_policy(
-            self.origin, self.acted, VERB, tasks, levels,
-            seed=bench.settings.seed if seed is None else seed, horizon=bench.horizon,
-            episodes={NAME: max(counts)},
-        )  # fmt: skip
+        return header_of_policy(self.origin, self.acted, VERB, tasks, levels, **self.spec)

@@ -173,3 +173,18 @@ def test_what_is_kept_belongs_to_one_judgement_at_a_time(trained, tmp_path, monk
     assert (open_dataset(tmp_path / "k.h5").steps.actions[:] == 1).all()
     assert run(*words, "meeting:still") == 1
     assert "something else is there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("other", [["seed", 7], ["episodes", 1], ["horizon", 2]])
+def test_what_is_kept_goes_for_the_same_judgement_alone(trained, tmp_path, capsys, other):
+    data, kept = trained.parent.parent / "tiny.h5", tmp_path / "k-own.h5"
+    words = ["evaluate", "--policy", trained, "--data", data, "--keep", tmp_path / "k.h5", "-q",
+             "--evaluation.horizon", 3, "--evaluation.episodes", 2, "--evaluation.blocks", "train",
+             "--evaluation.no-constants"]  # fmt: skip
+    assert run(*words) == run(*words) == 0
+    before = kept.read_bytes()
+    name, value = other
+    assert run(*words, f"--evaluation.{name}", value) == 1
+    told = capsys.readouterr().err
+    assert "something else is there; found episodes of the same policy, judged with other" in told
+    assert kept.read_bytes() == before
