@@ -179,7 +179,8 @@ def claimed(folder: RunFolder, identity: Identity, restart: bool) -> Iterator[No
     with disk(folder.path):
         folder.path.parent.mkdir(parents=True, exist_ok=True)
     # Training takes hours: whoever waited a little would only leave a little later.
-    with holding(folder.path, amends=True, wait_s=0, kept="it writes a checkpoint before it ends"):
+    kept = "training goes on from its checkpoint, a judgement begins anew"
+    with holding(folder.path, amends=True, wait_s=0, kept=kept):
         inspect(folder, identity, restart)  # again: only now nobody else can change it
         try:
             with disk(folder.path):

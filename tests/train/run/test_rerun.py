@@ -256,6 +256,7 @@ def test_a_second_process_is_refused_by_name(again, tiny_file, capsys):
         assert call(*arguments[:-1], "new", "--restart") == 4
         error = capsys.readouterr().err
         assert "another process writes it" in error and f"process {os.getpid()} on" in error
+        assert f"kill {os.getpid()}`; training goes on from its checkpoint, a judgement" in error
         assert own.config.exists(), "--restart of the refused one removed nothing"
     finally:
         done.set()
