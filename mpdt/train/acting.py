@@ -30,15 +30,21 @@ if TYPE_CHECKING:
     from mpdt.train.run.stop import StopRequest
 
 
-def until_stopped(body: Callable[[StopRequest], int]) -> int:
-    """The body's exit code, or that of the signal that stopped it, with how to go on."""
+def until_stopped(body: Callable[[StopRequest], int], judges: bool = False) -> int:
+    """The body's exit code, or that of the signal that stopped it, with how to go on.
+
+    Args:
+        judges: nothing of it is saved but trials and rows that were kept.
+    """
     from mpdt.train.run.stop import Stopped, StopRequest
 
     try:
         with StopRequest().listening() as stop:
             return body(stop)
     except Stopped as stopped:
-        sys.stderr.write(f"\n{stopped}; saved. Continue with the same command:\n")
+        saved = "what was saved before stays" if stopped.at_once else "saved"
+        what = "not judged. Begin again" if judges else f"{saved}. Continue"
+        sys.stderr.write(f"\n{stopped}; {what} with the same command:\n")
         given = [word for word in hide(sys.argv[1:]) if word != "--restart"]
         sys.stderr.write(visible(f"  {PROG} {shlex.join(given)}") + "\n")
         return stopped.exit_code
@@ -74,7 +80,7 @@ def judge(command: Evaluate, rest: list[str]) -> int:
         print_results(results, command.json)
         return 0
 
-    return until_stopped(body)
+    return until_stopped(body, judges=True)
 
 
 def judge_others(command: EvaluatePolicy, rest: list[str]) -> int:
@@ -93,7 +99,7 @@ def judge_others(command: EvaluatePolicy, rest: list[str]) -> int:
         print_results(results, command.json)
         return 0
 
-    return until_stopped(body)
+    return until_stopped(body, judges=True)
 
 
 def roll_out(command: Rollout) -> int:

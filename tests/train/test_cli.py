@@ -299,6 +299,19 @@ def test_a_short_command_that_is_ended_cleans_up(finished, tmp_path, monkeypatch
     )
 
 
+@pytest.mark.parametrize(
+    ("at_once", "judges", "told"),
+    [(False, False, "saved. Continue"), (True, False, "what was saved before stays. Continue"),
+     (False, True, "not judged. Begin again"), (True, True, "not judged. Begin again")],
+)  # fmt: skip
+def test_nothing_is_called_saved_that_is_not(capsys, at_once, judges, told):
+    def stopped(stop):
+        raise Stopped(signal.SIGINT, at_once)
+
+    assert until_stopped(stopped, judges) == 130
+    assert f"stopped by SIGINT; {told} with the same command:\n" in capsys.readouterr().err
+
+
 def test_no_password_is_printed_when_a_command_is_stopped(monkeypatch, capsys):
     def stopped(stop):
         raise Stopped(signal.SIGINT)

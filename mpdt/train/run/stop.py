@@ -9,10 +9,15 @@ from types import FrameType
 
 
 class Stopped(Exception):  # noqa: N818 - not an error: the user asked for it
-    """The run was asked to stop and has saved what it had. Exit code 128 + signal."""
+    """The run was asked to stop and has saved what it had. Exit code 128 + signal.
 
-    def __init__(self, signal_number: int) -> None:
+    Args:
+        at_once: asked again, and perhaps in the middle of that.
+    """
+
+    def __init__(self, signal_number: int, at_once: bool = False) -> None:
         super().__init__(f"stopped by {signal.Signals(signal_number).name}")
+        self.at_once = at_once
         self.exit_code = 128 + signal_number
 
 
@@ -38,7 +43,7 @@ class StopRequest:
 
         def remember(number: int, _frame: FrameType | None) -> None:
             if self.signal_number is not None:
-                raise Stopped(number)
+                raise Stopped(number, at_once=True)
             self.signal_number = number
 
         numbers = (signal.SIGINT, signal.SIGTERM)

@@ -21,6 +21,7 @@ def test_a_signal_is_remembered_until_asked_for(number, code):
 
 
 def test_a_second_signal_does_not_wait():
-    with StopRequest().listening(), pytest.raises(Stopped):
+    with StopRequest().listening(), pytest.raises(Stopped) as caught:
         os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGTERM)
+    assert caught.value.at_once
