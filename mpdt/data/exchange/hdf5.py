@@ -44,8 +44,12 @@ def created(path: Path) -> Iterator[h5py.File]:
     """
     with path.open("x+b", buffering=0) as stream:
         kept = _Kept(stream)
-        with h5py.File(kept, "w") as file:
-            yield file
+        try:
+            with h5py.File(kept, "w") as file:
+                yield file
+        except BaseException:
+            kept.abandon()
+            raise
         if kept.refusal is not None:
             raise kept.refusal
 
@@ -54,8 +58,12 @@ class _Kept:
     """The bytes of a file being written; the first refusal of the disk is kept, not raised."""
 
     def __init__(self, stream: io.FileIO) -> None:
-        self._stream = stream
+        self._stream: io.FileIO | io.BytesIO = stream
         self.refusal: OSError | None = None
+
+    def abandon(self) -> None:
+        """A signal may come before HDF5 has closed the file: what it does later goes nowhere."""
+        self.refusal, self._stream = self.refusal or OSError("abandoned"), io.BytesIO()
 
     def write(self, content: bytes) -> int:
         if self.refusal is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import resource
 import subprocess
 import sys
@@ -47,6 +48,25 @@ def test_a_new_hdf5_file_holds_what_was_written(tmp_path: Path) -> None:
 def test_what_fails_for_another_reason_is_that(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), hdf5.created(tmp_path / "x.hdf5"):
         raise ZeroDivisionError
+
+
+def test_a_signal_before_the_file_is_closed_is_told_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """HDF5 closes it with its last object, when the stream is gone, and would complain of that."""
+
+    def ended(self: object) -> None:
+        raise KeyboardInterrupt
+
+    told: list[object] = []
+    monkeypatch.setattr("sys.unraisablehook", told.append)
+    with monkeypatch.context() as patch:
+        patch.setattr("h5py.File.close", ended)
+        with pytest.raises(KeyboardInterrupt), hdf5.created(tmp_path / "x.hdf5") as file:
+            file["a"] = np.arange(3)
+    del file
+    gc.collect()
+    assert told == []
 
 
 @pytest.fixture
