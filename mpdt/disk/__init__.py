@@ -9,7 +9,7 @@ under a name nobody else has; flushes; and renames, if the target still is what 
 
 from mpdt.disk.content import reserve, sha256, sync, sync_tree
 from mpdt.disk.hold import Hold, Seen, holding, real_path, sweep
-from mpdt.disk.refusal import disk, expect_folder, expect_rights
+from mpdt.disk.refusal import disk, expect_folder, expect_rights, expect_room
 from mpdt.disk.replace import (
     appearing,
     check_replaceable,
@@ -21,6 +21,6 @@ from mpdt.disk.replace import (
 )
 
 __all__ = ["Hold", "Seen", "appearing", "check_replaceable", "disk", "expect_folder",
-           "expect_rights", "holding", "last_put", "put_file", "put_folder", "real_path",
-           "replacing", "reserve", "sha256", "sweep", "sync", "sync_tree", "write_bytes"
-           ]  # fmt: skip
+           "expect_rights", "expect_room", "holding", "last_put", "put_file", "put_folder",
+           "real_path", "replacing", "reserve", "sha256", "sweep", "sync", "sync_tree",
+           "write_bytes"]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,6 +31,23 @@ def expect_folder(folder: Path) -> None:
                            hint="choose another folder or name")  # fmt: skip
     raise StorageError("the folder does not exist", where=str(folder),
                        hint=f"mkdir -p {quoted(folder)}")  # fmt: skip
+
+
+def expect_room(target: Path, needed: int, what: str, option: str) -> None:
+    """Before the work whose result is to go to `target`.
+
+    Args:
+        needed: bytes, in the folder of `target`.
+        what: they are for.
+        option: that chooses another place.
+    Raises: StorageError if there is less.
+    """
+    free = shutil.disk_usage(target.parent).free
+    if free < needed:
+        raise StorageError(f"not enough room on the disk for {what}", where=str(target),
+                           expected=f"{needed / 1e6:,.0f} MB free", found=f"{free / 1e6:,.0f} MB",
+                           hint=f"free some space, or choose another place with {option}"
+                           )  # fmt: skip
 
 
 def expect_rights(path: Path, grows: bool = False) -> None:

@@ -9,7 +9,6 @@ job -> lock -> missing blocks on workers -> levels -> pack -> parts deleted
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
@@ -30,8 +29,8 @@ from mpdt.data.spec.entry import spec_hash
 from mpdt.data.spec.family import decisive, own_definition
 from mpdt.data.store.dataset import Dataset
 from mpdt.data.store.reader import open_dataset
-from mpdt.disk import expect_folder
-from mpdt.errors import DataError, FormatError, StorageError
+from mpdt.disk import expect_folder, expect_room
+from mpdt.errors import DataError, FormatError
 
 
 @dataclass(frozen=True)
@@ -200,18 +199,11 @@ def check_space(plan: Plan, target: Path) -> None:
     Raises: StorageError.
     """
     expect_folder(target.parent)
-    needed, free = 2 * plan.file_bytes, shutil.disk_usage(target.parent).free
+    needed = 2 * plan.file_bytes
     parts = PartsFolder(target).path / "blocks"
     if parts.is_dir():
         needed -= sum(part.stat().st_size for part in parts.glob("*.npz"))
-    if free < needed:
-        raise StorageError(
-            "not enough room on the disk for the parts and the file",
-            where=str(target),
-            expected=f"{needed / 1e6:,.0f} MB free",
-            found=f"{free / 1e6:,.0f} MB",
-            hint="free some space, or choose another place with -o",
-        )
+    expect_room(target, needed, "the parts and the file", "-o")
 
 
 def run_missing(

@@ -105,17 +105,20 @@ class Plan:
     @property
     def file_bytes(self) -> int:
         """Size of the finished file at most."""
-        family = self.family
-        observation = 4 * family.observation_size
-        step = observation + 4 * family.action_size + 4 + 2 + int(family.has_success)
         stored = [block for block in self.blocks if block.kind != "reference"]
-        steps = sum(block.steps for block in stored)
-        episodes = sum(block.rows for block in stored)
-        return steps * step + episodes * (observation + 200) + 1_000_000
+        steps, episodes = sum(block.steps for block in stored), sum(block.rows for block in stored)
+        return most_bytes(self.family, steps, episodes)
 
     def seconds(self, workers: int) -> float:
         """Rough time to collect everything with `workers` processes."""
         return self.num_steps / self.family.steps_per_s / max(1, workers)
+
+
+def most_bytes(family: Family, steps: int, episodes: int) -> int:
+    """Size at most of a file of so many of each."""
+    observation = 4 * family.observation_size
+    step = observation + 4 * family.action_size + 4 + 2 + int(family.has_success)
+    return steps * step + episodes * (observation + 200) + 1_000_000
 
 
 def make_plan(spec: DatasetSpec, records: Mapping[str, Record] | None = None) -> Plan:

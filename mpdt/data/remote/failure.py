@@ -12,6 +12,7 @@ from fsspec.registry import known_implementations
 
 from mpdt.data.remote import objects
 from mpdt.errors import MpdtError, RemoteError, StorageError, UsageError
+from mpdt.reading import OWNER
 
 # Of webdav4 and asyncssh, which need not be installed.
 _ABSENT = {"ResourceNotFound", "SFTPNoSuchFile", "SFTPNoSuchPath"}
@@ -74,10 +75,12 @@ def refusal(address: str, words: str, error: Exception) -> MpdtError:
         or objects.is_denied(error)
         or {status_of(error), status_of(error.__cause__)} & {401, 403}
     ):
-        locked = address.startswith(("sftp:", "ssh:"))
-        return RefusedError("no permission", where=address, found=words,
-                            hint="credentials come from the library's own places, see "
-                                 "docs/remote.md" + f"; {_LOCKED}" * locked)  # fmt: skip
+        hint = "credentials come from the library's own places, see docs/remote.md"
+        if address.startswith(("sftp:", "ssh:")):
+            hint += f"; {_LOCKED}"
+        elif "://" not in address:
+            hint = OWNER
+        return RefusedError("no permission", where=address, found=words, hint=hint)
     if isinstance(error, OSError) and error.errno in _DISK:
         return StorageError(_DISK[error.errno], where=address, found=words,
                             hint="with room the same command goes on from here")  # fmt: skip

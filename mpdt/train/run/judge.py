@@ -106,11 +106,11 @@ class Judge:
         rows = self.trained.material.test_rows
         with self.keeper.row(
             self.bench, f"{candidate.name}-own", f"{method}, own episodes",
-            candidate.tried[0].policy, len(candidate.tried) // len(rows), candidate.reads,
+            candidate.tried[0].policy, rows, len(candidate.tried) // len(rows), candidate.reads,
             self.config.adapt.trials.seed,
         ) as row:  # fmt: skip
             row.kept.episodes += candidate.tried
-            row.write(rows)
+            row.write()
 
     def _score(
         self,
@@ -125,9 +125,11 @@ class Judge:
         if self.keeper is None:
             return self.bench.score(block, method, rows, actor, reads)
         episodes = self.bench.episodes(block)
-        with self.keeper.row(self.bench, name, method, actor.fingerprint, episodes, reads) as row:
+        with self.keeper.row(
+            self.bench, name, method, actor.fingerprint, rows, episodes, reads
+        ) as row:
             scores = self.bench.score(block, method, rows, actor, reads, row.kept)
-            row.write(rows)
+            row.write()
         return scores
 
 

@@ -147,7 +147,9 @@ class _CallableRows:
         bench, named, material = self.bench, self.named, self.bench.material
         reads = self.reads if block == "test" else None
         name = "policy" if material.one_table else block
-        with _kept(self.keeper, bench, block, name, named.words, named.fingerprint, reads) as row:
+        with _kept(
+            self.keeper, bench, block, rows, name, named.words, named.fingerprint, reads
+        ) as row:
             found = [
                 bench.run(block, f"{block}: {named.words}", [one],
                           OutsideActor(named, material.dataset.tasks.names[one], material.family),
@@ -155,7 +157,7 @@ class _CallableRows:
                 for one in rows
             ]  # fmt: skip
             if row:
-                row.write(rows)
+                row.write()
         yield bench.scores_of(block, named.words, rows, _joined(found), reads)
 
 
@@ -203,10 +205,10 @@ class _BundleRows:
         )  # fmt: skip
         method = f"{bundle.config.name} {spoken(start)}"
         actor = _BundleActor(policy, tasks)
-        with _kept(self.keeper, bench, block, name, method, policy.fingerprint, reads) as row:
+        with _kept(self.keeper, bench, block, rows, name, method, policy.fingerprint, reads) as row:
             scores = bench.score(block, method, rows, actor, reads, row.kept if row else None)
             if row:
-                row.write(rows)
+                row.write()
         return scores
 
 
@@ -258,13 +260,13 @@ def _keeper(
 
 
 def _kept(
-    keeper: Keeper | None, bench: Bench, block: Block, name: str, method: str, fingerprint: bytes,
-    reads: Reads | None,
+    keeper: Keeper | None, bench: Bench, block: Block, rows: Sequence[int], name: str, method: str,
+    fingerprint: bytes, reads: Reads | None,
 ) -> AbstractContextManager[KeptRow | None]:  # fmt: skip
     """The row's file, if episodes are kept."""
     if keeper is None:
         return nullcontext()
-    return keeper.row(bench, name, method, fingerprint, bench.episodes(block), reads)
+    return keeper.row(bench, name, method, fingerprint, rows, bench.episodes(block), reads)
 
 
 def _joined(found: Sequence[Evaluation]) -> Evaluation:

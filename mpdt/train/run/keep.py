@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 
 from mpdt.data.collect.origin import Acted, Origin, header_of_policy
+from mpdt.data.collect.plan import most_bytes
 from mpdt.data.collect.rollouts import NAME, level_on
 from mpdt.data.slices.standard import standard_additions
 from mpdt.data.store.layout import checked_name
 from mpdt.data.store.reader import open_dataset
 from mpdt.data.store.sources import EpisodeSource, FileHeader
 from mpdt.data.store.writer import write_file
-from mpdt.disk import check_replaceable, expect_folder, holding
+from mpdt.disk import check_replaceable, expect_folder, expect_room, holding
 from mpdt.errors import DataError, FormatError
 from mpdt.train.evaluate.rollout import Kept
 from mpdt.train.evaluate.score import Reads
@@ -54,15 +55,17 @@ class Keeper:
     def __post_init__(self) -> None:
         self.target = self.target.absolute()  # a policy may go to another folder
         expect_folder(self.target.parent)
+        check_replaceable(self.target)  # the first row comes behind references and adaptation
 
     @contextmanager
     def row(
-        self, bench: Bench, name: str, method: str, fingerprint: bytes, episodes: int,
-        reads: Reads | None = None, seed: int | None = None,
+        self, bench: Bench, name: str, method: str, fingerprint: bytes, rows: Sequence[int],
+        episodes: int, reads: Reads | None = None, seed: int | None = None,
     ) -> Iterator[KeptRow]:  # fmt: skip
         """Where the episodes of one row will go; asked before they are run, and held until then.
 
         Args:
+            rows: of the table of tasks.
             episodes: of each task.
             seed: root of their seeds; None = evaluation's.
         Raises: DataError if something else is there; BusyError; StorageError.
@@ -75,10 +78,13 @@ class Keeper:
         seed = bench.settings.seed if seed is None else seed
         spec = {"seed": seed, "horizon": bench.horizon, "episodes": {NAME: episodes}}
         acted = Acted(label, fingerprint, facts)
-        row = KeptRow(path, bench, acted, Kept(fingerprint), self.say, spec)
+        row = KeptRow(path, bench, rows, acted, Kept(fingerprint), self.say, spec)
+        number = len(rows) * episodes
+        needed = most_bytes(bench.material.family, number * bench.horizon, number)
         # Judging takes hours: what another one keeps there meanwhile would be replaced at the end.
         with holding(path, amends=True, wait_s=0):
             row.check()
+            expect_room(path, needed, "the episodes", "--keep")
             yield row
 
 
@@ -88,6 +94,7 @@ class KeptRow:
 
     path: Path
     bench: Bench
+    rows: Sequence[int]
     acted: Acted
     kept: Kept
     say: Callable[[str], None]
@@ -118,18 +125,18 @@ class KeptRow:
         raise DataError("something else is there", where=str(self.path), found=found,
                         hint="choose another --keep, or move it away first")  # fmt: skip
 
-    def write(self, rows: Sequence[int]) -> None:
+    def write(self) -> None:
         """The file of the episodes that were run. Raises: as `write_file`."""
         episodes = sorted(self.kept.episodes, key=lambda e: (e.task, e.seed_key[4]))
         write_file(
-            self.path, self._header(rows),
+            self.path, self._header(),
             EpisodeSource(episodes, len(episodes), sum(e.length for e in episodes)),
             finish=standard_additions,
         )  # fmt: skip
         self.say(f"kept {len(episodes):,} episodes: {self.path}")
 
-    def _header(self, rows: Sequence[int]) -> FileHeader:
-        bench, tasks = self.bench, [self.origin.tasks[row] for row in sorted(rows)]
+    def _header(self) -> FileHeader:
+        bench, tasks = self.bench, [self.origin.tasks[row] for row in sorted(self.rows)]
         levels = {}
         for task in tasks:
             own = [e.episode_return for e in self.kept.episodes if e.task == task.index]

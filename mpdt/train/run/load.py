@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mpdt.errors import MissingFileError, UsageError, quoted
+from mpdt.reading import refuse_closed
 from mpdt.train.bundle.acting import ActingPolicy
 from mpdt.train.bundle.read import is_bundle, read_bundle, read_config
 from mpdt.train.bundle.select import policy_of_bundle, refuse_left_out
@@ -41,10 +42,10 @@ def load_policy(
             is an adaptation of your own, see `Adaptation`.
     Raises: MissingFileError; UsageError for a task without prompt and an unknown family;
         TrainingError or FormatError for weights of other data or settings, and for a bundle that
-        is not as it was written; as `open_dataset`; RemoteError.
+        is not as it was written; StorageError; as `open_dataset`; RemoteError.
     """
     folder = local_folder(run)
-    found = next((one for one in (folder, folder / "policy") if is_bundle(one)), None)
+    found = _bundle_in(folder)
     if found is not None and data is None and not callable(start):
         config = read_config(found)
         refuse_left_out(config, start)
@@ -68,15 +69,25 @@ def load_policy(
 def bundle_folder(where: str) -> Path:
     """The bundle's folder at an address, in a folder or in that of a run.
 
-    Raises: MissingFileError; RemoteError.
+    Raises: MissingFileError; StorageError; RemoteError.
     """
     folder = local_folder(where)
-    for place in (folder, folder / "policy"):
-        if is_bundle(place):
-            return place
+    found = _bundle_in(folder)
+    if found is not None:
+        return found
     hint = f"mpdt-train bundle {quoted(folder)} -o {quoted(f'{folder.name}-policy')}"
     raise MissingFileError("no bundle here", where=str(folder), expected="a bundle, or the folder "
                            "of a run with one", hint=hint if folder.is_dir() else "")  # fmt: skip
+
+
+def _bundle_in(folder: Path) -> Path | None:
+    """Of one that the system will not list nothing says that no bundle is in it."""
+    for place in (folder, folder / "policy"):
+        if place.is_dir():
+            refuse_closed(place)
+        if is_bundle(place):
+            return place
+    return None
 
 
 def local_folder(run: Path | str) -> Path:

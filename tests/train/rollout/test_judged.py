@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,6 +16,7 @@ import pytest
 from makers import make_episode, make_header, source_of
 
 import mpdt
+from mpdt.data.collect.standing import standing_spec
 from mpdt.data.slices.standard import standard_additions
 from mpdt.data.spec.tasks import get_family
 from mpdt.data.store.reader import open_dataset
@@ -28,6 +30,7 @@ from mpdt.train.adapt.trials.protocol import spoken
 from mpdt.train.bundle.format import FamilyFacts
 from mpdt.train.bundle.read import read_bundle, read_config
 from mpdt.train.bundle.select import policy_of_bundle
+from mpdt.train.run.bench import Bench
 from mpdt.train.run.judge_outside import _material, check_fits
 
 from .conftest import run
@@ -69,6 +72,8 @@ def test_a_run_keeps_the_episodes_of_each_row(trained, tmp_path, capsys):
         report = verify(tmp_path / f"{stem}.h5", replay="all")
         assert report.count(Outcome.PASS) == len(CHECKS) - 1 and report.count(Outcome.NONE) == 1
     own = open_dataset(tmp_path / "e-own.h5")
+    with pytest.raises(DataError, match="nothing more is made of a policy's episodes"):
+        standing_spec(own)
     assert own.policies.hashes[0].tobytes() == mpdt.load_policy(trained / "policy").fingerprint
 
 
@@ -173,6 +178,25 @@ def test_what_is_kept_belongs_to_one_judgement_at_a_time(trained, tmp_path, monk
     assert (open_dataset(tmp_path / "k.h5").steps.actions[:] == 1).all()
     assert run(*words, "meeting:still") == 1
     assert "something else is there" in capsys.readouterr().err
+
+
+def test_what_cannot_be_kept_is_told_before_anything_is_judged(
+    trained, tmp_path, monkeypatch, capsys
+):
+    words = ["evaluate", "--policy", trained, "--data", trained.parent.parent / "tiny.h5", "-q",
+             "--evaluation.blocks", "train", "--keep"]  # fmt: skip
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(Bench, "score", None)
+    with monkeypatch.context() as patch:
+        patch.setattr(Bench, "references", lambda *_: [])
+        patch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=1000))
+        assert run(*words, tmp_path / "k.h5") == 1
+    assert "not enough room on the disk for the episodes" in capsys.readouterr().err
+    monkeypatch.setattr(Bench, "references", None)
+    (tmp_path / "k.h5").mkdir()
+    assert run(*words, tmp_path / "k.h5") == 1
+    assert "a folder is in the way" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["k.h5"]
 
 
 @pytest.mark.parametrize("other", [["seed", 7], ["episodes", 1], ["horizon", 2]])

@@ -24,6 +24,9 @@ def test_it_is_told_what_is_closed(tiny_file, tmp_path):
         words = ["evaluate", "r", "--data", tiny_file, "-q", "--evaluation.seed", "5"]
         code, err = without_rights("mpdt.train.cli", *words, cwd=tmp_path)
         assert code == 1 and err.startswith(f"error: r/{name}: "), err
+        if name == "policy":
+            words = ["rollout", "r", "-q", "-o", "a.h5"]
+            assert "cannot be opened" in without_rights("mpdt.train.cli", *words, cwd=tmp_path)[1]
         assert err.splitlines()[1] == "hint:  ask whoever owns it (ls -ld shows who)"
         (run / name).chmod(0o755)
         assert sorted(path.name for path in run.rglob("*")) == before
