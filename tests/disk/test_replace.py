@@ -12,6 +12,7 @@ from mpdt.disk import (
     check_replaceable,
     disk,
     holding,
+    last_put,
     replace,
     replacing,
     write_bytes,
@@ -309,3 +310,23 @@ def test_a_page_replaces_pages_alone(tmp_path: Path) -> None:
             tried(data, like=b"<!doctype")
     assert data.read_bytes() == b"\x89HDF\r\n\x1a\n"
     assert {path.name for path in tmp_path.iterdir()} == {"x.h5", "x.html"}
+
+
+def test_what_was_put_last_is_what_is_at_its_place(tmp_path, monkeypatch):
+    """A signal may come before the rename or behind it, and the caller has to tell which."""
+    target = tmp_path / "a"
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("mpdt.disk.replace._put_new", stopped)
+        with pytest.raises(KeyboardInterrupt), replacing(target):
+            pass
+    assert last_put() is None and not target.exists()
+    with replacing(target):
+        pass
+    assert last_put() == target
+    with pytest.raises(KeyboardInterrupt), replacing(tmp_path / "b"):
+        raise KeyboardInterrupt
+    assert last_put() is None, "of what was begun since"

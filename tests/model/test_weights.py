@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 from typing import Any
@@ -226,3 +227,17 @@ def test_any_change_is_one_error(
     if changed != whole:
         with pytest.raises(FormatError):
             load_weights(path)
+
+
+def test_what_the_disk_refuses_is_no_damage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "closed"
+    save_weights(path, TENSORS, HEADER_OF_OURS)
+
+    def refuse(*_: object) -> int:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("mpdt.reading.os.open", refuse)
+    with pytest.raises(StorageError, match="cannot be opened"):
+        load_weights(path)
