@@ -83,11 +83,11 @@ def pretrain(
     with disk(work):
         work.mkdir(parents=True, exist_ok=True)
     with holding(work, amends=True, wait_s=0, kept="snapshots are kept"):
+        for path in (target, record_path, work / CHECKPOINT):
+            check_replaceable(path)
         begun = any((work / name).exists() for name in (CHECKPOINT, *PICKLES))
         if not resume or not begun:  # a clearing that was ended halfway goes on
             _clear(work)
-        for path in (target, record_path, work / CHECKPOINT):
-            check_replaceable(path)
         return _pretrain(family, settings, total, seed, work, on_progress or (lambda line: None))
 
 

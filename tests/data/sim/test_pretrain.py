@@ -150,6 +150,19 @@ def test_pickles_in_the_working_folder_never_run(tiny: None, tmp_path: Path) -> 
     assert ran.exists(), "unpickled, it would have run"
 
 
+def test_what_is_refused_deletes_nothing_of_the_run_before(tiny: None, tmp_path: Path) -> None:
+    work = tmp_path / "cheetah_dir.pretrain"
+    work.mkdir()
+    (work / "checkpoint.safetensors").write_bytes(b"hours of training")
+    (work / f"{800:012d}.safetensors").write_bytes(b"a snapshot")
+    (tmp_path / "cheetah_dir.json").mkdir()
+    with pytest.raises(StorageError, match="a folder is in the way"):
+        pretrain("cheetah_dir", steps=800, output=tmp_path, resume=False)
+    assert sorted(path.name for path in work.iterdir()) == [
+        f"{800:012d}.safetensors", "checkpoint.safetensors",
+    ]  # fmt: skip
+
+
 def test_a_checkpoint_of_something_else_is_refused(tiny: None, tmp_path: Path) -> None:
     from safetensors import safe_open
     from safetensors.numpy import save_file
