@@ -66,6 +66,7 @@ class Reference(Options):
         from mpdt.data.store.amend import set_references
         from mpdt.data.store.reader import open_dataset
         from mpdt.data.workers.processes import default_workers
+        from mpdt.disk import check_replaceable
         from mpdt.errors import UsageError, unknown_name
 
         kinds = split_names(self.policies) or KINDS
@@ -84,6 +85,7 @@ class Reference(Options):
                     hint="leave out --horizons, -o and --spec",
                 )
             spec = standing_spec(open_dataset(file))
+            check_replaceable(file)  # what is measured goes into it at the end
         campaign = measure(
             spec, target, horizons=horizons,
             kinds=kinds, seed=self.seed, cap=self.most, restart=self.restart,

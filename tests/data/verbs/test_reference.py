@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from mpdt.data.cli import main
 from mpdt.data.sim import measure as module
 from mpdt.data.verbs.reference import table
+from mpdt.errors import StorageError
 
 
 def row(policy: str, mean: float, error: float, share: float | None, **more: Any) -> dict[str, Any]:
@@ -45,3 +47,19 @@ def test_mistakes_come_before_any_measuring(
     monkeypatch.setattr(module, "measure", None)
     assert main(["reference", "tiny", *words]) == 2
     assert text in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_changed_is_told_of_before_any_measuring(
+    workplace: Path, collected: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """It takes what was measured at the end, after hours."""
+
+    def refuse(target: Path) -> None:
+        raise StorageError("the disk is read-only", where=str(target))
+
+    shutil.copy(collected, "tiny.h5")
+    monkeypatch.setattr("mpdt.disk.check_replaceable", refuse)
+    monkeypatch.setattr(module, "measure", None)
+    assert main(["reference", "tiny.h5"]) == 1
+    assert "tiny.h5: the disk is read-only" in capsys.readouterr().err
