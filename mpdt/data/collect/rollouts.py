@@ -129,7 +129,7 @@ def roll_out_to(
 
     Args:
         workers: processes; None = one per core, 0 = in this process.
-        restart: ignore and delete what an earlier call left, and replace what is there.
+        restart: ignore and delete what an earlier call left, and replace roll-outs.
         versions: of what the policy's numbers depend on beside simulators; parts never mix them.
     Raises: UsageError; DataError if something else is at `target` or its parts are of another
         call; BusyError; StorageError; SimulatorError; whatever the policy raises. Finished blocks
@@ -137,7 +137,7 @@ def roll_out_to(
     """
     job, folder = asked.job(), PartsFolder(target)
     check_replaceable(target)
-    if not restart and (finished := _finished(asked, target)):
+    if finished := _finished(asked, target, restart):
         folder.forget(_told(asked, job, versions))
         return RolledOut(finished, False, _reached_in(finished))
     check_space(job.plan, target)
@@ -201,8 +201,12 @@ def _reached_in(dataset: Dataset) -> tuple[Reached, ...]:
     )  # fmt: skip
 
 
-def _finished(asked: RollOuts, target: Path) -> Dataset | None:
-    """The file at `target` if this very call made it. Raises: DataError for anything else."""
+def _finished(asked: RollOuts, target: Path, restart: bool = False) -> Dataset | None:
+    """The file at `target` if this very call made it. Raises: DataError for anything else.
+
+    Args:
+        restart: any roll-outs may be there, and are to be replaced.
+    """
     if not target.exists():
         return None
     try:
@@ -210,6 +214,8 @@ def _finished(asked: RollOuts, target: Path) -> Dataset | None:
         last = dataset.lineage[-1] if dataset.lineage else {}
         found = f"made by {last.get('verb', 'collect or import')}"
         if last.get("verb") == VERB:
+            if restart:
+                return None
             if (last.get("rule"), last["from"]) == (asked.rule, [asked.origin.content_hash]):
                 return dataset
             found = "roll-outs of another policy, of other data or by another rule"

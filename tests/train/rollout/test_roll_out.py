@@ -192,6 +192,17 @@ def test_parts_of_another_call_are_refused(trained, tmp_path):
     assert rolled(trained, target, noise=0.1, restart=True).is_new
 
 
+def test_a_restart_replaces_roll_outs_and_nothing_else(trained, made, tiny_file, tmp_path):
+    target = tmp_path / "p.h5"
+    shutil.copy(tiny_file, target)
+    before = target.read_bytes()
+    with pytest.raises(DataError, match="something else is there"):
+        rolled(trained, target, restart=True)
+    assert target.read_bytes() == before
+    shutil.copy(made.path, target)
+    assert rolled(trained, target, noise=0.1, restart=True).is_new
+
+
 @pytest.mark.long
 def test_workers_and_a_kill_give_the_same_bytes(trained, made, tmp_path):
     """0 in this process, 2 that are killed, 1 for the rest."""
