@@ -38,11 +38,15 @@ class StopRequest:
             self.signal_number = signal.SIGTERM
 
     @contextmanager
-    def listening(self) -> Iterator[StopRequest]:
-        """Signals are remembered inside the block; the old handlers return afterwards."""
+    def listening(self, patient: bool = False) -> Iterator[StopRequest]:
+        """Signals are remembered inside the block; the old handlers return afterwards.
+
+        Args:
+            patient: a second one ends nothing at once; it may be the same request once more.
+        """
 
         def remember(number: int, _frame: FrameType | None) -> None:
-            if self.signal_number is not None:
+            if self.signal_number is not None and not patient:
                 raise Stopped(number, at_once=True)
             self.signal_number = number
 

@@ -230,7 +230,8 @@ def _death(code: int | None) -> str:
 def _work(pipe: Connection, cell: Cell, places: Places, restart: bool) -> None:
     """Main of a cell's process."""
     threading.Thread(target=end_with_parent, daemon=True).start()
-    with suppress(Stopped, BrokenPipeError), StopRequest().listening() as stop:
+    # A signal to the whole process group reaches it twice: the parent passes it on.
+    with suppress(Stopped, BrokenPipeError), StopRequest().listening(patient=True) as stop:
         pipe.send(_outcome(cell, places, restart, _Telling(cell.name, pipe.send, stop)))
 
 

@@ -2,6 +2,7 @@
 
 import io
 import json
+import multiprocessing
 import os
 import re
 import signal
@@ -98,6 +99,22 @@ def test_a_signal_ends_every_process(places):
     for pid in pids:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
+
+
+def test_a_cell_that_is_asked_to_stop_twice_saves_what_it_has(places, monkeypatch):
+    """By the signal that its process group gets, and by its parent."""
+    asked = []
+
+    def outcome(cell, places, restart, progress):
+        for _ in range(2):
+            os.kill(os.getpid(), signal.SIGTERM)
+        asked.append(progress.stop.signal_number)  # the update ends, and then is saved
+        progress.stop.check()
+
+    monkeypatch.setattr(apart, "_outcome", outcome)
+    monkeypatch.setattr(apart, "end_with_parent", lambda: None)
+    apart._work(multiprocessing.Pipe()[0], ONE, places, False)
+    assert asked == [signal.SIGTERM]
 
 
 def test_several_at_once_are_asked_for_on_the_command_line(places, monkeypatch, capsys):
