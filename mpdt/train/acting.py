@@ -30,11 +30,14 @@ if TYPE_CHECKING:
     from mpdt.train.run.stop import StopRequest
 
 
-def until_stopped(body: Callable[[StopRequest], int], judges: bool = False) -> int:
+def until_stopped(
+    body: Callable[[StopRequest], int], judges: bool = False, done_again: bool = False
+) -> int:
     """The body's exit code, or that of the signal that stopped it, with how to go on.
 
     Args:
         judges: nothing of it is saved but trials and rows that were kept.
+        done_again: of several runs those that were done as well, which --restart alone does again.
     """
     from mpdt.train.run.stop import Stopped, StopRequest
 
@@ -44,8 +47,10 @@ def until_stopped(body: Callable[[StopRequest], int], judges: bool = False) -> i
     except Stopped as stopped:
         saved = "what was saved before stays" if stopped.at_once else "saved"
         what = "not judged. Begin again" if judges else f"{saved}. Continue"
+        if done_again:
+            what = "cells that were not reached keep their results. Begin again"
         sys.stderr.write(f"\n{stopped}; {what} with the same command:\n")
-        given = [word for word in hide(sys.argv[1:]) if word != "--restart"]
+        given = [word for word in hide(sys.argv[1:]) if done_again or word != "--restart"]
         sys.stderr.write(visible(f"  {PROG} {shlex.join(given)}") + "\n")
         return stopped.exit_code
 

@@ -268,7 +268,7 @@ def _study(command: Study) -> int:
         states = {one["state"] for one in outcomes}
         return 1 if "failed" in states else BusyError.exit_code if "busy" in states else 0
 
-    return until_stopped(body)
+    return until_stopped(body, done_again=command.restart)
 
 
 def parse_settings(

@@ -117,6 +117,23 @@ def test_a_cell_that_is_asked_to_stop_twice_saves_what_it_has(places, monkeypatc
     assert asked == [signal.SIGTERM]
 
 
+def test_what_a_stopped_restart_says_makes_the_other_cells_again(places, monkeypatch, capsys):
+    """Without --restart they count as done."""
+
+    def stopped(*_):
+        raise Stopped(signal.SIGINT)
+
+    words = ["study", "try", "--data-dir", str(places.data), "--restart"]
+    monkeypatch.setattr(plans, "STUDIES", {"try": (ONE, TWO)})
+    monkeypatch.setattr(apart, "run_cells", stopped)
+    monkeypatch.setattr("sys.argv", ["mpdt-train", *words])
+    with pytest.raises(SystemExit):
+        main()
+    told = capsys.readouterr().err
+    assert f"mpdt-train {' '.join(words)}" in told
+    assert "saved" not in told and "keep their results" in told
+
+
 def test_several_at_once_are_asked_for_on_the_command_line(places, monkeypatch, capsys):
     monkeypatch.setattr(plans, "STUDIES", {"try": (ABSENT,)})
     with pytest.raises(SystemExit) as left:
