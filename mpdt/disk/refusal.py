@@ -39,15 +39,15 @@ def expect_room(target: Path, needed: int, what: str, option: str) -> None:
     Args:
         needed: bytes, in the folder of `target`.
         what: they are for.
-        option: that chooses another place.
+        option: that chooses another place; "" = there is none.
     Raises: StorageError if there is less.
     """
     free = shutil.disk_usage(target.parent).free
     if free < needed:
+        elsewhere = f", or choose another place with {option}" if option else ""
         raise StorageError(f"not enough room on the disk for {what}", where=str(target),
-                           expected=f"{needed / 1e6:,.0f} MB free", found=f"{free / 1e6:,.0f} MB",
-                           hint=f"free some space, or choose another place with {option}"
-                           )  # fmt: skip
+                           expected=f"{needed / 1e6:,.1f} MB free", found=f"{free / 1e6:,.1f} MB",
+                           hint=f"free some space{elsewhere}")  # fmt: skip
 
 
 def expect_rights(path: Path, grows: bool = False) -> None:

@@ -105,7 +105,7 @@ def add_set(
         if not restart and _is_whole(dataset, name):
             folder.forget(describe_plan(plan))
             return Added(dataset, _version_warnings(dataset), is_new=False)
-    check_space(plan, folder.target)
+    check_space(plan, folder.target, option="")
     with folder.locked():
         if restart:
             folder.clear()

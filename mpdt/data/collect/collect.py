@@ -193,9 +193,10 @@ def describe_plan(plan: Plan) -> dict[str, Any]:
     }
 
 
-def check_space(plan: Plan, target: Path) -> None:
+def check_space(plan: Plan, target: Path, option: str = "-o") -> None:
     """Refuse to start what cannot end: parts and file together must fit on the disk.
 
+    Args: option: that chooses another place; "" = there is none.
     Raises: StorageError.
     """
     expect_folder(target.parent)
@@ -203,7 +204,7 @@ def check_space(plan: Plan, target: Path) -> None:
     parts = PartsFolder(target).path / "blocks"
     if parts.is_dir():
         needed -= sum(part.stat().st_size for part in parts.glob("*.npz"))
-    expect_room(target, needed, "the parts and the file", "-o")
+    expect_room(target, needed, "the parts and the file", option)
 
 
 def run_missing(
