@@ -4,28 +4,36 @@ from __future__ import annotations
 
 import ctypes
 import os
-import subprocess
-import sys
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-_SECUREBITS, _NO_ROOT = 28, 1  # of prctl: a new program of root gets no rights for that
+_GET_SECUREBITS, _SET_SECUREBITS = 27, 28  # of prctl
+_NO_FIXUP = 4  # access() of root goes by the effective rights then, not by all it might have
 _VERSION_3 = 0x20080522
-_HEADER, _NO_RIGHTS = (ctypes.c_uint32 * 2)(_VERSION_3, 0), (ctypes.c_uint32 * 6)()
+_SETS = 6  # effective, permitted, inheritable: low words, then high
 
 
-def _give_up() -> None:
+@contextmanager
+def without_rights() -> Iterator[None]:
+    """The rights of root are laid down within the block, by this thread."""
+    if os.getuid() != 0:
+        yield
+        return
     system = ctypes.CDLL(None)
-    if os.getuid() == 0 and (
-        system.prctl(_SECUREBITS, _NO_ROOT, 0, 0, 0) or system.capset(_HEADER, _NO_RIGHTS)
-    ):
+    header, had = (ctypes.c_uint32 * 2)(_VERSION_3, 0), (ctypes.c_uint32 * _SETS)()
+    bits = system.prctl(_GET_SECUREBITS, 0, 0, 0, 0)
+    less = (ctypes.c_uint32 * _SETS)()
+    _done(system.capget(header, had))
+    less[:] = [0 if i % 3 == 0 else word for i, word in enumerate(had)]
+    _done(system.prctl(_SET_SECUREBITS, bits | _NO_FIXUP, 0, 0, 0))
+    _done(system.capset(header, less))
+    try:
+        yield
+    finally:
+        _done(system.capset(header, had))
+        _done(system.prctl(_SET_SECUREBITS, bits, 0, 0, 0))
+
+
+def _done(answer: int) -> None:
+    if answer:
         raise OSError("root keeps its rights")
-
-
-def without_rights(module: str, *words: object, cwd: Path) -> tuple[int, str]:
-    """Exit code and stderr of `python -m MODULE WORDS` there."""
-    path = os.pathsep.join(one for one in sys.path if one)
-    done = subprocess.run(
-        [sys.executable, "-m", module, *map(str, words)], cwd=cwd, text=True, check=False,
-        env=os.environ | {"PYTHONPATH": path}, preexec_fn=_give_up, capture_output=True,
-    )  # fmt: skip
-    return done.returncode, done.stderr

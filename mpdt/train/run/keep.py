@@ -55,7 +55,8 @@ class Keeper:
     def __post_init__(self) -> None:
         self.target = self.target.absolute()  # a policy may go to another folder
         expect_folder(self.target.parent)
-        check_replaceable(self.target)  # the first row comes behind references and adaptation
+        with holding(self.target, amends=True, wait_s=0):
+            check_replaceable(self.target)  # the first row comes behind references and adaptation
 
     @contextmanager
     def row(

@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from rights import without_rights
 
+from mpdt.data.cli import main as of_data
+from mpdt.train.cli import main as of_training
+
 CLOSED = "cannot be opened; found [Errno 13] Permission denied"
 
 
-@pytest.mark.long
-def test_a_closed_folder_is_not_an_empty_one(tmp_path: Path) -> None:
+def test_a_closed_folder_is_not_an_empty_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def told(main: Callable[[list[str]], int], *words: str) -> tuple[int, str]:
+        capsys.readouterr()
+        code: object = 0
+        with without_rights():
+            try:
+                code = main(list(words))
+            except SystemExit as stopped:
+                code = stopped.code
+        return int(str(code)), capsys.readouterr().err
+
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "ex/sub").mkdir(parents=True)
     (tmp_path / "ex/a.txt").write_text("a")
     (tmp_path / "ex/sub/b.txt").write_text("b")
@@ -21,13 +37,13 @@ def test_a_closed_folder_is_not_an_empty_one(tmp_path: Path) -> None:
     (tmp_path / "x.h5").chmod(0)
     (tmp_path / "ex/sub").chmod(0)
     for words in (("push", "ex", "there"), ("push", "ex/sub", "there"), ("report", "ex/sub")):
-        code, err = without_rights("mpdt.data.cli", *words, cwd=tmp_path)
+        code, err = told(of_data, *words)
         assert code == 1 and err.startswith(f"error: ex/sub: {CLOSED}"), err
         assert err.splitlines()[1] == "hint:  ask whoever owns it (ls -ld shows who)"
         assert not (tmp_path / "there").exists()
-    code, err = without_rights("mpdt.data.cli", "push", "ok", "ex/sub/", cwd=tmp_path)
+    code, err = told(of_data, "push", "ok", "ex/sub/")
     assert code == 1 and "ask whoever owns it (ls -ld shows who)" in err, err
-    code, err = without_rights("mpdt.train.cli", "report", "ex", cwd=tmp_path)
+    code, err = told(of_training, "report", "ex")
     assert code == 1 and err.startswith(f"error: ex/sub: {CLOSED}"), err
-    code, err = without_rights("mpdt.train.cli", "--data", "ex/sub", cwd=tmp_path)
+    code, err = told(of_training, "--data", "ex/sub")
     assert code == 1 and err.startswith(f"error: ex/sub: {CLOSED}"), err

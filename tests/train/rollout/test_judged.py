@@ -153,28 +153,35 @@ def test_another_familys_tasks_are_met_without_prompts_of_their_own(trained, tmp
 
 
 def test_what_is_kept_belongs_to_one_judgement_at_a_time(trained, tmp_path, monkeypatch, capsys):
-    """Another policy that is judged meanwhile is told at once; nobody's episodes are replaced."""
+    """Another process is told at once, whichever came first; nobody's episodes are replaced."""
+    hold = (
+        "from pathlib import Path\nfrom mpdt.disk import holding\n"
+        "with holding(Path('k.h5'), amends=True, wait_s=0): print(flush=True), input()"
+    )
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(one for one in sys.path if one))
+    monkeypatch.chdir(tmp_path)
+    words = ["evaluate", "--data", trained.parent.parent / "tiny.h5", "--keep", "k.h5", "-q",
+             "--evaluation.horizon", 2, "--evaluation.episodes", 1, "--evaluation.blocks", "train",
+             "--evaluation.no-constants", "--policy"]  # fmt: skip
     (tmp_path / "meeting.py").write_text(
         "import numpy as np\n\n"
         "def still(observations, rewards, starts, task):\n    return np.zeros((len(starts), 6))\n\n"
         "def meets(observations, rewards, starts, task):\n"
-        "    if not met:\n        met.append(judge())\n    return np.ones((len(starts), 6))\n"
+        "    if not met:\n        met.append(other())\n    return np.ones((len(starts), 6))\n"
     )
-    monkeypatch.chdir(tmp_path)
-    words = ["evaluate", "--data", trained.parent.parent / "tiny.h5", "--keep", "k.h5", "-q",
-             "--evaluation.horizon", 2, "--evaluation.episodes", 1, "--policy"]  # fmt: skip
-
-    def judge():
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-        command = [sys.executable, "-m", "mpdt.train.cli", *map(str, words), "meeting:still"]
-        return subprocess.run(command, env=environment, capture_output=True, text=True)
-
     monkeypatch.syspath_prepend(str(tmp_path))
     module = importlib.import_module("meeting")
-    module.met, module.judge = [], judge
+    command = [sys.executable, "-c", hold]
+    module.met = []
+    module.other = lambda: subprocess.run(command, input="\n", capture_output=True, text=True)
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as first:
+        first.stdout.readline()
+        assert run(*words, "meeting:still") == 4
+        first.communicate(b"\n")
+    assert "k.h5: another process writes it" in capsys.readouterr().err
     assert run(*words, "meeting:meets") == 0
     (other,) = module.met
-    assert other.returncode == 4 and "k.h5: another process writes it" in other.stderr
+    assert other.returncode and "BusyError" in other.stderr
     assert (open_dataset(tmp_path / "k.h5").steps.actions[:] == 1).all()
     assert run(*words, "meeting:still") == 1
     assert "something else is there" in capsys.readouterr().err
