@@ -46,12 +46,11 @@ def standing_spec(dataset: Dataset) -> DatasetSpec:
     except msgspec.ValidationError as error:
         found = str(error)
     where = str(dataset.path)
-    if "import" not in dataset.spec and "policy" in dataset.spec:
-        raise DataError("nothing more is made of a policy's episodes", where=where,
-                        hint="only files of `mpdt-data collect` and of `mpdt-data import` can get "
-                             "more, such as the one that it was rolled out on")  # fmt: skip
     if "import" not in dataset.spec:
-        raise DataError("the file does not say how it was made", where=where, found=found,
+        what = "the file does not say how it was made"
+        if "policy" in dataset.spec:
+            what, found = "nothing more is made of a policy's episodes", ""
+        raise DataError(what, where=where, found=found,
                         hint="only files of `mpdt-data collect` and of `mpdt-data import` can get "
                              "more")  # fmt: skip
     horizon, env = dataset.spec.get("horizon"), dict(dataset.spec.get("env") or {})

@@ -12,7 +12,7 @@ import msgspec
 
 from mpdt.disk import disk, sync
 from mpdt.errors import FormatError, StorageError
-from mpdt.reading import OWNER, decode_json
+from mpdt.reading import decode_json, open_plain
 
 
 class Line(msgspec.Struct, frozen=True):
@@ -104,11 +104,8 @@ class MetricsLog:
         """
         if not self.path.exists():
             return []
-        try:
-            lines = self.path.read_bytes().splitlines(keepends=True)
-        except OSError as error:
-            raise StorageError("cannot read", where=str(self.path), found=str(error),
-                               hint=OWNER) from error  # fmt: skip
+        with open_plain(self.path) as file:
+            lines = file.readlines()
         if lines and not lines[-1].endswith(b"\n"):
             del lines[-1]
         records = [self._record(line, number) for number, line in enumerate(lines, 1)]

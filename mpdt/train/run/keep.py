@@ -111,16 +111,13 @@ class KeptRow:
         if not self.path.exists():
             return
         try:
-            there = open_dataset(self.path)
+            there, wanted = open_dataset(self.path), self._header()
             last = there.lineage[-1] if there.lineage else {}
-            if (last.get("verb"), last.get("from")) == (VERB, [self.origin.content_hash]) and (
-                (last.get("rule") or {}).get("fingerprint") == self.acted.fingerprint.hex()
-            ):
-                if self.spec == {key: there.spec.get(key) for key in self.spec}:
-                    return
-                found = "episodes of the same policy, judged with other settings"
-            else:
-                found = f"made by {last.get('verb', 'collect or import')}"
+            if (there.spec, [last]) == (wanted.spec, wanted.lineage):
+                return
+            found = f"made by {last.get('verb', 'collect or import')}"
+            if last.get("verb") == VERB:
+                found = "episodes of another policy, of other data or tasks, or of other settings"
         except FormatError as error:
             found = error.what
         raise DataError("something else is there", where=str(self.path), found=found,
@@ -142,5 +139,6 @@ class KeptRow:
         for task in tasks:
             own = [e.episode_return for e in self.kept.episodes if e.task == task.index]
             same = bench.horizon == bench.material.horizon
-            levels[task.index] = level_on(task, float(np.mean(own))) if same else math.nan
+            known = own and same  # of episodes that are yet to be run nothing is
+            levels[task.index] = level_on(task, float(np.mean(own))) if known else math.nan
         return header_of_policy(self.origin, self.acted, VERB, tasks, levels, **self.spec)

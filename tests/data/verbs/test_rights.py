@@ -43,6 +43,10 @@ def test_a_closed_folder_is_not_an_empty_one(
         assert not (tmp_path / "there").exists()
     code, err = told(of_data, "push", "ok", "ex/sub/")
     assert code == 1 and "ask whoever owns it (ls -ld shows who)" in err, err
+    with without_rights():
+        assert of_data(["list"]) == 0
+    shown = capsys.readouterr().out
+    assert "x.h5" in shown and "cannot be opened" in shown and "damaged" not in shown
     code, err = told(of_training, "report", "ex")
     assert code == 1 and err.startswith(f"error: ex/sub: {CLOSED}"), err
     code, err = told(of_training, "--data", "ex/sub")

@@ -129,6 +129,28 @@ def test_statistics_are_compared_before_anybody_acts(trained, tiny_file):
         check_fits(msgspec.structs.replace(config, family=ant), material)
 
 
+def test_what_is_kept_of_some_tasks_is_not_replaced_by_others(tmp_path, monkeypatch, capsys):
+    """Training tasks and test tasks of one policy, judged by two commands at one name."""
+    episodes = [make_episode(3, sizes=(20, 6), task=task) for task in (0, 1)]
+    rows = [TaskRow("v0.075", 0, "train", {}), TaskRow("v0.150", 1, "test", {})]
+    header = make_header(episodes, rows, family="cheetah_vel")
+    write_file(tmp_path / "vel.h5", header, source_of(episodes), finish=standard_additions)
+    (tmp_path / "resting.py").write_text(
+        "import numpy as np\n\n"
+        "def still(observations, rewards, starts, task):\n    return np.zeros((len(starts), 6))\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    words = ["evaluate", "--policy", "resting:still", "--data", "vel.h5", "--keep", "k.h5", "-q",
+             "--evaluation.horizon", 2, "--evaluation.episodes", 1, "--evaluation.no-constants",
+             "--evaluation.blocks"]  # fmt: skip
+    assert run(*words, "train") == run(*words, "train") == 0
+    before = (tmp_path / "k.h5").read_bytes()
+    assert run(*words, "test") == 1
+    assert "something else is there" in capsys.readouterr().err
+    assert (tmp_path / "k.h5").read_bytes() == before
+
+
 def test_another_familys_tasks_are_met_without_prompts_of_their_own(trained, tmp_path, capsys):
     """The same robot with speeds to reach: the policy has prompts for none of them."""
     draws = generator_of(0)
@@ -217,5 +239,5 @@ def test_what_is_kept_goes_for_the_same_judgement_alone(trained, tmp_path, capsy
     name, value = other
     assert run(*words, f"--evaluation.{name}", value) == 1
     told = capsys.readouterr().err
-    assert "something else is there; found episodes of the same policy, judged with other" in told
+    assert "something else is there; found episodes of another policy, of other data" in told
     assert kept.read_bytes() == before
