@@ -27,7 +27,7 @@ from mpdt.data.spec.goals import GoalSet
 from mpdt.data.store.reader import open_dataset, open_tta_rewards
 from mpdt.data.store.writer import check_digests
 from mpdt.data.verify.verify import verify
-from mpdt.errors import DataError, SpecError, UsageError
+from mpdt.errors import DataError, SpecError, StorageError, UsageError
 
 Fakes = Callable[..., None]
 WIDE = TtaRule(episodes=5, action_scale=3.0, horizon=4, preset_return=7.1, tasks="all")
@@ -150,6 +150,18 @@ def test_single_tasks_and_what_is_printed(
     assert found["content_hash"] == added.content_hash and found["steps"] == 10
     assert added.task.tolist() == [1, 1]
     assert main(words) == 0, "0.1 is stored as float32"
+
+
+def test_too_little_room_is_told_without_an_option_that_is_none(
+    tiny_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = tiny_file.read_bytes()
+    usage = shutil.disk_usage(tiny_file)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=1000))
+    with pytest.raises(StorageError, match="not enough room") as caught:
+        added(tiny_file, "wide", WIDE)
+    assert caught.value.hint == "free some space"
+    assert tiny_file.read_bytes() == before
 
 
 def test_mistakes(tiny_file: Path) -> None:

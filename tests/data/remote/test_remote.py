@@ -13,7 +13,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -393,6 +394,26 @@ def test_a_file_goes_into_a_folder_that_is_there(run: Run, collected: Path) -> N
         code, out, err = run("pull", "backup/tiny.h5", "-o", word)
         assert code == 0 and out.startswith(done) and "back/tiny.h5" in out, err
     assert [path.name for path in Path("back").iterdir()] == ["tiny.h5"]
+    with held_by_another(Path("back")):  # others may bring other files there at the same time
+        assert run("pull", "backup/tiny.h5", "-o", "back")[0] == 0
+    with held_by_another(Path("back/tiny.h5")):
+        assert run("pull", "backup/tiny.h5", "-o", "back")[0] == 4
+
+
+@contextmanager
+def held_by_another(path: Path) -> Iterator[None]:
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom mpdt.disk import holding\n"
+        "with holding(Path(sys.argv[1]), amends=True): print(flush=True), input()"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    command = [sys.executable, "-c", code, str(path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, env=environment, **pipes) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        yield
+        other.communicate(b"\n")
 
 
 def test_an_export_is_the_folder_that_is_named(run: Run, export: Path) -> None:
